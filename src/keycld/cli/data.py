@@ -1,0 +1,156 @@
+"""`keycld data make | check | show | import`."""
+
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from keycld import KeycldError
+
+
+def make(
+    system: tyro.conf.Positional[str],
+    /,
+    *,
+    out: Path | None = None,
+    protocol: str = "keycld-2022",
+    control: Literal["none", "under", "full"] | None = None,
+    start: Literal["rest", "random"] | None = None,
+    clip: bool | None = None,
+    train: int | None = None,
+    validation: int | None = None,
+    test: int | None = None,
+    long: int | None = None,
+    workers: int | None = None,
+) -> None:
+    """Make a system's data set with MuJoCo: pictures, true states, sweeps, card, statistics, preview.
+
+    Interrupted work is taken up by the same command; finished data is left as it is.
+
+    Args:
+        system: pendulum, cartpole or acrobot.
+        out: Folder; data/SYSTEM unless told.
+        protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version).
+        control: Which inputs act: none, under (the second does not) or full. Default: the protocol's.
+        start: How runs start: rest or random. Default: the protocol's.
+        clip: Whether the motors limit the input to their range. Default: the protocol's.
+        train: Runs for training, for a smaller set.
+        validation: Runs for validation.
+        test: Runs for the test.
+        long: Runs of 500 frames for the long test.
+        workers: Renderer processes, at most four. Default: one a core.
+    """
+    from keycld.data import make_data
+
+    wanted = {"train": train, "validation": validation, "test": test, "test_long": long}
+    made = make_data(
+        system,
+        out,
+        protocol=protocol,
+        control=control,
+        start=start,
+        clip=clip,
+        runs={name: number for name, number in wanted.items() if number is not None},
+        workers=workers,
+        progress=_Shown(),
+    )
+    if not made.fresh:
+        print(f"{made.folder} is already there, nothing to do")
+        return
+    speed = made.frames / max(made.seconds, 1e-9)
+    print(f"made {made.folder}: {made.frames} frames in {made.seconds:.0f} s ({speed:.0f} frames/s, {made.renderer})")
+
+
+def check(data: tyro.conf.Positional[Path], /) -> None:
+    """Check a data file or a folder of them: what is wrong, where, and the mend.
+
+    Args:
+        data: An HDF5 file, or a folder with train.h5, validation.h5, …
+    """
+    from keycld.data import check as check_file
+
+    files = sorted(data.glob("*.h5")) if data.is_dir() else [data]
+    if not files or not files[0].exists():
+        raise KeycldError(f"{data} holds no .h5 file; name a data set's folder or one of its files.")
+    wrong = {file: check_file(file) for file in files}
+    for file, problems in wrong.items():
+        print(f"{file}: {'fine' if not problems else ''}")
+        for problem in problems:
+            print(f"  {problem}")
+    count = sum(len(problems) for problems in wrong.values())
+    if count:
+        raise KeycldError(f"{count} problem{'s' if count > 1 else ''} in {data}, listed above.")
+
+
+def show(
+    data: tyro.conf.Positional[str],
+    /,
+    *,
+    split: str = "train",
+    trajectory: int = 0,
+    out: Path | None = None,
+    scale: int = 4,
+) -> None:
+    """Make a movie of one trajectory.
+
+    Args:
+        data: A system whose data is under data/, or a data set's folder.
+        split: Which file: train, validation, test, test_long, sweeps.
+        trajectory: Which trajectory of it.
+        out: Movie, .gif or .mp4; DATA-SPLIT-TRAJECTORY.gif unless told.
+        scale: Enlargement.
+    """
+    from keycld.data import open_data
+    from keycld.drawing import save_movie
+
+    dataset = open_data(data)
+    images = dataset.split(split)
+    if images.image is None or not 0 <= trajectory < len(images):
+        raise KeycldError(f"{split} of {data} holds pictures of trajectories 0 to {len(images) - 1}, not {trajectory}.")
+    path = out or Path(f"{dataset.folder.name}-{split}-{trajectory}.gif")
+    save_movie(path, images.image[trajectory], fps=min(25, round(1 / images.dt)), scale=scale)
+    print(f"movie: {path}")
+
+
+def import_(
+    videos: tyro.conf.Positional[tuple[Path, ...]],
+    /,
+    *,
+    out: Path,
+    constraints: Path | None = None,
+    size: int = 64,
+    fps: float | None = None,
+    crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
+    frames: int = 50,
+) -> None:
+    """Turn videos into a data set: crop, resize, resample in time, cut into trajectories.
+
+    Args:
+        videos: One or more video files.
+        out: Folder of the data set.
+        constraints: TOML file with keypoint names and constraints, copied beside the data.
+        size: Height and width of the pictures, a multiple of 8.
+        fps: Frames a second to keep; the video's own unless told.
+        crop: Part of the picture to keep, in pixels of the video; the largest central square unless told.
+        frames: Frames of a trajectory.
+    """
+    from keycld.data import import_video
+
+    folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
+    print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")
+
+
+class _Shown:
+    """Progress of a long job, as the training shows it."""
+
+    def __init__(self) -> None:
+        self._bar = None
+
+    def __call__(self, progress) -> None:
+        from keycld.training import Bar
+
+        if self._bar is None:
+            self._bar = Bar("data", progress.total, start=0, stream=sys.stderr)
+        speed = progress.done / max(progress.seconds, 1e-9)
+        self._bar.show(progress.done, speed, progress.what)

@@ -1,0 +1,46 @@
+"""`keycld demo`."""
+
+import time
+from pathlib import Path
+
+import tyro
+
+
+def demo(
+    system: tyro.conf.Positional[str] = "pendulum",
+    /,
+    *,
+    out: Path | None = None,
+    preset: str = "fast",
+    seed: int = 0,
+    set: tuple[str, ...] = (),
+) -> None:
+    """Do everything on one system: data, training, evaluation, report. Pendulum: about a quarter of an hour.
+
+    Args:
+        system: pendulum, cartpole or acrobot.
+        out: Run folder; runs/SYSTEM-demo unless told.
+        preset: fast or paper.
+        seed: Of the training.
+        set: Settings of the preset to change, as in `keycld train`.
+    """
+    from keycld.cli.evaluate import evaluate
+    from keycld.cli.making import data_for
+    from keycld.cli.report import report
+    from keycld.cli.train import train
+
+    run = out or Path("runs") / f"{Path(system).name}-demo"
+    times = {}
+
+    def timed(name, action, *arguments, **options):
+        print(f"── {name}", flush=True)
+        began = time.monotonic()
+        action(*arguments, **options)
+        times[name] = time.monotonic() - began
+
+    timed("data", data_for, system)
+    timed("training", train, system, preset=preset, seed=seed, out=run, set=set)
+    timed("evaluation", evaluate, run)
+    timed("report", report, run)
+    print("time: " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in times.items()))
+    print(f"open {run / 'report.html'} in a browser")

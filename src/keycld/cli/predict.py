@@ -1,0 +1,23 @@
+"""`keycld predict`."""
+
+from pathlib import Path
+
+import tyro
+
+
+def predict(run: tyro.conf.Positional[Path], /, *, data: Path, out: Path) -> None:
+    """Predict all frames of every trajectory in a file from its first frames and its inputs alone.
+
+    Writes /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
+
+    Args:
+        run: Run folder.
+        data: HDF5 file in keycld's format.
+        out: HDF5 file to write.
+    """
+    from keycld.evaluation import predict_file
+    from keycld.training import load_run
+
+    model, _ = load_run(run)
+    predict_file(model, data, out)
+    print(f"predictions: {out}")

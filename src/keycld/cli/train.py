@@ -1,0 +1,95 @@
+"""`keycld train`."""
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from keycld import KeycldError
+
+
+def train(
+    data: tyro.conf.Positional[str] = "",
+    /,
+    *,
+    model: str = "keycld",
+    preset: str = "fast",
+    seed: int = 0,
+    out: Path | None = None,
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
+    constraints: Path | None = None,
+    config: Path | None = None,
+    track: str = "none",
+    checkpoint_seconds: float = 60.0,
+) -> None:
+    """Train a model from pictures; the same command resumes a run that was killed.
+
+    `keycld train pendulum` makes the pendulum's data first if they are not there. A folder of your own data needs a
+    constraints.toml beside it, or --constraints.
+
+    Args:
+        data: A system (pendulum, cartpole, acrobot) or the folder of a data set.
+        model: What to train: keycld.
+        preset: The whole recipe: fast (default; minutes on two cores) or paper (arXiv v1 as published; needs a GPU).
+        seed: Decides weights and data order. Same seed, machine and settings: same bits.
+        out: Run folder; runs/DATA-MODEL-PRESET-SEED unless told.
+        set: Settings of the preset to change, such as vision_steps=500 horizons=8,16 width=24.
+        constraints: TOML file with the constraints, instead of the data's own.
+        config: A run's config.json: trains the same again (data, preset, settings, seed).
+        track: Also send metrics to none, wandb, trackio or tensorboard.
+        checkpoint_seconds: A killed run loses at most about this much.
+    """
+    from keycld.cli.making import data_for
+    from keycld.data import open_data
+    from keycld.mechanics import load_constraints
+    from keycld.training import train as train_model
+
+    settings: dict[str, Any] = {}
+    if config is not None:
+        data, preset, seed, settings = _from_config(config, data)
+    if not data:
+        raise KeycldError("name what to train on: `keycld train pendulum`, or the folder of a data set.")
+    if model != "keycld":
+        from keycld._errors import unknown
+
+        raise unknown("model", model, ["keycld"])
+    settings |= dict(_setting(text) for text in set)
+    folder = data_for(data)
+    run = out or Path("runs") / f"{open_data(folder).folder.name}-{model}-{preset}-{seed}"
+    train_model(
+        folder,
+        run,
+        preset=preset,
+        settings=settings,
+        seed=seed,
+        constraints=None if constraints is None else load_constraints(constraints),
+        track=track,
+        checkpoint_seconds=checkpoint_seconds,
+    )
+    print(f"trained: {run}\nnext: keycld eval {run}, keycld report {run}")
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise KeycldError(f"--set takes NAME=VALUE, not '{text}'.")
+    values = [_number(part) for part in value.split(",") if part]
+    return name.replace("-", "_"), values[0] if len(values) == 1 and "," not in value else values
+
+
+def _number(text: str) -> Any:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return {"true": True, "false": False}.get(text.lower(), text)
+
+
+def _from_config(path: Path, data: str) -> tuple[str, str, int, dict[str, Any]]:
+    try:
+        saved = json.loads(path.read_text())
+        return data or saved["data"], saved["preset"], saved["seed"], saved["settings"]
+    except (OSError, ValueError, KeyError) as error:
+        raise KeycldError(f"--config {path} is not a run's config.json ({error}).") from None

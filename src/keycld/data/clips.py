@@ -1,0 +1,174 @@
+"""Clips: a few frames of a trajectory, sampled on the device from uint8 pictures."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
+
+from keycld._errors import KeycldError
+
+
+class Resident(eqx.Module):
+    """Training trajectories on the device. The true state is never among them.
+
+    - `image`: all frames.
+    - `u`: input, constant along a trajectory `[N, l]` or held from each frame to the next `[N, T, l]`.
+    - `dt`: seconds between frames.
+    - `keypoints`: keypoints found by a trained observer `[N, T, 2K]`, where a stage has cached them.
+    """
+
+    image: UInt8[Array, "N T H W 3"]
+    u: Float[Array, "N *T l"]
+    dt: Float[Array, ""]
+    keypoints: Float[Array, "N T dim"] | None = None
+
+
+class Clip(eqx.Module):
+    """Frames of one trajectory in order, gaps allowed; a sampler gives a batch of them, stacked.
+
+    - `frames`: values in [0, 1], or None where a sampler gives cached keypoints instead.
+    - `keypoints`: cached keypoints, or None.
+    - `index`: frame numbers, counted from the clip's own first frame.
+    - `u`: the input, `[l]` constant or `[length, l]` from the clip's first frame on.
+    - `dt`: seconds between consecutive frame numbers.
+    - `span`: the largest frame number that `index` may hold, plus one; known at compile time.
+    """
+
+    frames: Float[Array, "*batch F H W 3"] | None
+    keypoints: Float[Array, "*batch F dim"] | None
+    index: Int[Array, "*batch F"]
+    u: Float[Array, "*batch l"] | Float[Array, "*batch span l"]
+    dt: Float[Array, "*batch"]
+    span: int = eqx.field(static=True)
+
+
+class AbstractSampler(eqx.Module):
+    """Draws the batch of clips of a step from resident data; a pure function of key and step number."""
+
+    @abstractmethod
+    def span(self) -> int:
+        """How many consecutive frames a trajectory must have at least."""
+
+    @abstractmethod
+    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
+        """A batch of clips; `key` is the same for all steps of a stage."""
+
+    def check(self, data: Resident) -> None:
+        """Raises KeycldError when the trajectories are too short."""
+        if self.span() > data.image.shape[1]:
+            raise KeycldError(
+                f"trajectories have {data.image.shape[1]} frames but this recipe samples clips of "
+                f"{self.span()}; make longer trajectories or shorten the recipe's horizon."
+            )
+
+
+class RandomFrames(AbstractSampler):
+    """Independent single frames, for learning to see. Good values: 16 to 64."""
+
+    batch: int = eqx.field(static=True)
+
+    def span(self) -> int:
+        """One."""
+        return 1
+
+    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
+        """Frames drawn uniformly over all trajectories and times."""
+        key_trajectory, key_frame = jax.random.split(jax.random.fold_in(key, step))
+        count, length = data.image.shape[:2]
+        trajectory = jax.random.randint(key_trajectory, (self.batch,), 0, count)
+        start = jax.random.randint(key_frame, (self.batch,), 0, length)
+        return _gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1, frames=True)
+
+
+class Windows(AbstractSampler):
+    """Consecutive frames, or consecutive cached keypoints.
+
+    - `batch`, `length`: clips a step and frames a clip.
+    - `cached`: give the keypoints that the stage has cached instead of pictures.
+    """
+
+    batch: int = eqx.field(static=True)
+    length: int = eqx.field(static=True)
+    cached: bool = eqx.field(static=True, default=False)
+
+    def span(self) -> int:
+        """The length of a window."""
+        return self.length
+
+    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
+        """Windows drawn uniformly over all trajectories and starts."""
+        trajectory, start = _starts(data, jax.random.fold_in(key, step), self.batch, self.length)
+        index = jnp.broadcast_to(jnp.arange(self.length)[None, :], (self.batch, self.length))
+        return _gather(data, trajectory, start, index, self.length, frames=not self.cached)
+
+
+class StartAndLater(AbstractSampler):
+    """The first two frames and a few random later ones: a long horizon for the price of a few pictures.
+
+    - `batch`: clips a step.
+    - `horizon`: frames from the first to the last possible one, counted inclusively.
+    - `later`: how many later frames, drawn without repetition and sorted.
+    """
+
+    batch: int = eqx.field(static=True)
+    horizon: int = eqx.field(static=True)
+    later: int = eqx.field(static=True)
+
+    def span(self) -> int:
+        """The horizon."""
+        return self.horizon
+
+    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
+        """Clips drawn uniformly over all trajectories and starts."""
+        key_start, key_later = jax.random.split(jax.random.fold_in(key, step))
+        trajectory, start = _starts(data, key_start, self.batch, self.horizon)
+        draw = jax.vmap(lambda k: jax.random.choice(k, self.horizon - 2, (self.later,), replace=False))
+        later = 2 + jnp.sort(draw(jax.random.split(key_later, self.batch)), axis=1)
+        given = jnp.broadcast_to(jnp.arange(2)[None, :], (self.batch, 2))
+        index = jnp.concatenate([given, later], axis=1)
+        return _gather(data, trajectory, start, index, self.horizon, frames=True)
+
+
+class WholeTrajectories(AbstractSampler):
+    """One whole trajectory a step, each once an epoch in a new random order (the paper's batches)."""
+
+    length: int = eqx.field(static=True)
+
+    def span(self) -> int:
+        """The length of a trajectory."""
+        return self.length
+
+    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
+        """The trajectory of this step."""
+        count = data.image.shape[0]
+        order = jax.random.permutation(jax.random.fold_in(key, step // count), count)
+        trajectory = order[step % count][None]
+        index = jnp.arange(self.length)[None, :]
+        return _gather(data, trajectory, jnp.zeros(1, int), index, self.length, frames=True)
+
+
+def _starts(data: Resident, key: PRNGKeyArray, batch: int, span: int) -> tuple[Array, Array]:
+    key_trajectory, key_start = jax.random.split(key)
+    count, length = data.image.shape[:2]
+    return (
+        jax.random.randint(key_trajectory, (batch,), 0, count),
+        jax.random.randint(key_start, (batch,), 0, length - span + 1),
+    )
+
+
+def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool) -> Clip:
+    rows, columns = trajectory[:, None], start[:, None] + index
+    if data.u.ndim == 2:
+        u = data.u[trajectory]
+    else:
+        u = data.u[rows, start[:, None] + jnp.arange(span)[None, :]]
+    return Clip(
+        frames=data.image[rows, columns].astype(jnp.float32) / 255.0 if frames else None,
+        keypoints=None if frames or data.keypoints is None else data.keypoints[rows, columns],
+        index=index,
+        u=u,
+        dt=jnp.broadcast_to(data.dt, trajectory.shape),
+        span=span,
+    )

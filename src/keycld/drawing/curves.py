@@ -1,0 +1,271 @@
+"""Matplotlib figures without a window or global state: curves, histograms, maps, strips of pictures."""
+
+import io
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib
+import numpy as np
+from jaxtyping import Float, Shaped, UInt8
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from keycld.drawing.frames import sheet
+from keycld.drawing.palette import INK
+
+_STYLE: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.titleweight": "normal",
+    "axes.titlelocation": "left",
+    "axes.titlecolor": INK.quiet,
+    "axes.labelsize": 9.0,
+    "axes.labelcolor": INK.quiet,
+    "axes.edgecolor": INK.line,
+    "axes.facecolor": "none",
+    "axes.linewidth": 0.8,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "figure.facecolor": INK.paper,
+    "text.color": INK.text,
+    "xtick.color": INK.line,
+    "ytick.color": INK.line,
+    "xtick.labelcolor": INK.quiet,
+    "ytick.labelcolor": INK.quiet,
+    "xtick.labelsize": 8.0,
+    "ytick.labelsize": 8.0,
+    "legend.frameon": False,
+    "legend.fontsize": 8.5,
+    "legend.handlelength": 1.4,
+    "lines.linewidth": 1.6,
+    "lines.solid_capstyle": "round",
+}
+
+
+def _settings(settings: Any) -> AbstractContextManager[None]:
+    return matplotlib.rc_context(settings)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One curve y(x) with an optional band between `low` and `high`.
+
+    Attributes:
+        x: `[n]`.
+        y: `[n]`; NaN leaves a gap.
+        label: what the legend says; empty for none.
+        colour: hexadecimal; by default the next of the palette.
+        dashed: dashed line, for what is not a result (baselines, references).
+        low: lower edge of the band `[n]`.
+        high: upper edge of the band `[n]`.
+    """
+
+    x: Shaped[np.ndarray, "n"]
+    y: Shaped[np.ndarray, "n"]
+    label: str = ""
+    colour: str | None = None
+    dashed: bool = False
+    low: Shaped[np.ndarray, "n"] | None = None
+    high: Shaped[np.ndarray, "n"] | None = None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A horizontal (or, in a histogram, vertical) dashed line with a word on it."""
+
+    value: float
+    label: str
+    colour: str = INK.limit
+
+
+def curves_figure(
+    curves: Sequence[Curve],
+    x_label: str,
+    y_label: str,
+    *,
+    limits: Sequence[Limit] = (),
+    logarithmic: bool = False,
+    size: tuple[float, float] = (5.4, 3.2),
+) -> Figure:
+    """Curves with bands over one axis, with dashed limits (the layout of the paper's Fig. 3)."""
+    with _settings(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.add_subplot()
+        _draw(axes, curves, logarithmic)
+        for limit in limits:
+            axes.axhline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
+            axes.annotate(
+                limit.label, (1.0, limit.value), (-2, 3), xycoords=("axes fraction", "data"),
+                textcoords="offset points", ha="right", va="bottom", color=limit.colour, fontsize=8.5,
+            )  # fmt: skip
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        return figure
+
+
+def panels_figure(
+    panels: Sequence[tuple[str, Sequence[Curve]]],
+    x_label: str,
+    *,
+    columns: int = 3,
+    logarithmic: bool = False,
+    marks: Sequence[tuple[float, str]] = (),
+    panel_size: tuple[float, float] = (2.9, 1.9),
+) -> Figure:
+    """Small multiples: one titled panel for each entry, on one horizontal axis.
+
+    Args:
+        panels: pairs of a title and the curves under it.
+        x_label: below the lowest row.
+        columns: panels in a row.
+        logarithmic: vertical axes.
+        marks: vertical hairlines (x, word) in every panel; the words stand in the first row.
+        panel_size: inches.
+    """
+    columns = min(columns, len(panels))
+    rows = -(-len(panels) // columns)
+    with _settings(_STYLE):
+        figure = Figure(figsize=(columns * panel_size[0], rows * panel_size[1] + 0.25), layout="constrained")
+        grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
+        for k, axes in enumerate(grid.flat):
+            if k >= len(panels):
+                axes.set_axis_off()
+                continue
+            title, curves = panels[k]
+            _draw(axes, curves, logarithmic)
+            axes.set_title(title, color=INK.text, pad=14.0 if marks and k < columns else 6.0)
+            for x, word in marks:
+                axes.axvline(x, color=INK.line, linewidth=0.8, zorder=0)
+                if k < columns and word:
+                    axes.annotate(
+                        word, (x, 1.0), (2, 2), xycoords=("data", "axes fraction"),
+                        textcoords="offset points", fontsize=6.5, color=INK.quiet, annotation_clip=False,
+                    )  # fmt: skip
+            if k + columns >= len(panels):
+                axes.set_xlabel(x_label)
+                axes.tick_params(labelbottom=True)
+        return figure
+
+
+def histogram_figure(
+    values: Float[np.ndarray, "n"],
+    x_label: str,
+    y_label: str,
+    *,
+    span: tuple[float, float] = (0.0, 1.0),
+    bins: int = 20,
+    limits: Sequence[Limit] = (),
+    size: tuple[float, float] = (5.4, 3.2),
+) -> Figure:
+    """How many of `values` fall in each of `bins` equal bins of `span`, with dashed vertical limits."""
+    with _settings(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.add_subplot()
+        counts, edges, _ = axes.hist(values, bins=bins, range=span, color=INK.one, rwidth=0.88)
+        top = max(1.0, float(np.max(counts)))
+        # Each word has its own height, so that lines close to one another stay readable.
+        axes.set_ylim(0.0, top * (1.1 + 0.11 * len(limits)))
+        for k, limit in enumerate(sorted(limits, key=lambda each: each.value)):
+            axes.axvline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
+            left = limit.value < 0.6 * span[1] + 0.4 * span[0]
+            height = top * (1.1 + 0.11 * (len(limits) - 1 - k))
+            axes.annotate(
+                limit.label, (limit.value, height), (4 if left else -4, 0), textcoords="offset points",
+                ha="left" if left else "right", va="bottom", color=limit.colour, fontsize=8.5,
+            )  # fmt: skip
+        width = edges[1] - edges[0]
+        axes.set_xlim(span[0] - 0.3 * width, span[1] + 0.3 * width)
+        axes.yaxis.set_major_locator(MaxNLocator(integer=True))
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        return figure
+
+
+def map_figure(
+    values: Float[np.ndarray, "rows columns"],
+    x: Float[np.ndarray, "columns"],
+    y: Float[np.ndarray, "rows"],
+    x_label: str,
+    y_label: str,
+    value_label: str,
+    *,
+    size: tuple[float, float] = (4.6, 3.7),
+) -> Figure:
+    """A function of two variables as colours with contour lines; `values[i, j]` is at (`x[j]`, `y[i]`)."""
+    with _settings(_STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        axes = figure.add_subplot()
+        mesh = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", rasterized=True)
+        if np.ptp(values) > 0.0:
+            axes.contour(x, y, values, levels=8, colors="white", linewidths=0.6, alpha=0.6)
+        axes.set_xlabel(x_label)
+        axes.set_ylabel(y_label)
+        bar = figure.colorbar(mesh, ax=axes, label=value_label, shrink=0.9)
+        bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+        return figure
+
+
+def strip_figure(
+    curves: Sequence[Curve],
+    thumbnails: UInt8[np.ndarray, "n H W 3"],
+    x_label: str,
+    y_label: str,
+    *,
+    y_limits: tuple[float, float] | None = None,
+    width: float = 5.4,
+    curve_height: float = 1.7,
+) -> Figure:
+    """Curves with a strip of pictures above them (the layout of the paper's Fig. 8 to 12).
+
+    The pictures, two or more, are evenly spaced: the first over the start of the axis, the last over its end.
+    """
+    number = len(thumbnails)
+    start, stop = (float(edge(curves[0].x)) for edge in (np.min, np.max))
+    margin = (stop - start) / (number - 1) / 2.0
+    strip_height = width / number * thumbnails.shape[1] / thumbnails.shape[2]
+    with _settings(_STYLE):
+        figure = Figure(figsize=(width, curve_height + strip_height + 0.3), layout="constrained")
+        above, below = figure.subplots(2, 1, height_ratios=(strip_height, curve_height))
+        above.imshow(sheet([thumbnails], every=1, gap=2), interpolation="nearest", aspect="equal")
+        above.set_anchor("S")
+        above.set_axis_off()
+        _draw(below, curves, logarithmic=False)
+        below.set_xlim(start - margin, stop + margin)
+        if y_limits is not None:
+            below.set_ylim(*y_limits)
+        below.set_xlabel(x_label)
+        below.set_ylabel(y_label)
+        return figure
+
+
+def figure_svg(figure: Figure, name: str) -> str:
+    """The figure as an `<svg>` element whose words stay words, to be set inside a page.
+
+    `name` keeps the identifiers of several figures in one page apart. Same figure and name, same text.
+    """
+    settings = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
+    with _settings(settings), io.StringIO() as buffer:
+        figure.savefig(buffer, format="svg", facecolor="none", metadata={"Date": None})
+        text = buffer.getvalue()
+    return text[text.index("<svg") :]
+
+
+def _draw(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
+    for k, curve in enumerate(curves):
+        colour = curve.colour or INK.cycle[k % len(INK.cycle)]
+        if curve.low is not None and curve.high is not None:
+            axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0.0)
+        style = (0, (4, 2)) if curve.dashed else "-"
+        weight = 1.2 if curve.dashed else 1.6
+        axes.plot(curve.x, curve.y, color=colour, linestyle=style, linewidth=weight, label=curve.label)
+    if logarithmic:
+        axes.set_yscale("log")
+    axes.grid(axis="y", color=INK.line, linewidth=0.6, alpha=0.6)
+    axes.set_axisbelow(True)
+    axes.margins(x=0.01)
+    if any(curve.label for curve in curves):
+        axes.legend(loc="best")

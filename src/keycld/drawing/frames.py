@@ -1,0 +1,98 @@
+"""Put frames beside one another. A stack is a uint8 array `[T, H, W, 3]`."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Shaped, UInt8
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from keycld._errors import KeycldError
+
+GAP_COLOUR = (24, 26, 30)
+
+
+def as_uint8(frames: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
+    """Frames as uint8: floats in [0, 1] are scaled and rounded, NaN becomes black; uint8 stays as it is."""
+    if frames.dtype == np.uint8:
+        return frames
+    clean = np.nan_to_num(frames, nan=0.0, posinf=1.0, neginf=0.0)
+    return np.round(255.0 * np.clip(clean, 0.0, 1.0)).astype(np.uint8)
+
+
+def enlarge(frames: UInt8[np.ndarray, "*T H W 3"], scale: int) -> UInt8[np.ndarray, "*T H2 W2 3"]:
+    """Each pixel as a block of `scale` × `scale`."""
+    return np.repeat(np.repeat(frames, scale, axis=-3), scale, axis=-2)
+
+
+def side_by_side(
+    stacks: Sequence[UInt8[np.ndarray, "_ _ _ 3"]],
+    labels: Sequence[str] | None = None,
+    gap: int = 4,
+) -> UInt8[np.ndarray, "T H W 3"]:
+    """Stacks of equal height from left to right; a shorter one waits at its last frame.
+
+    Args:
+        stacks: what to show, one array `[T, H, W, 3]` a panel.
+        labels: a word above each panel, or None.
+        gap: dark pixels between panels.
+
+    Raises:
+        KeycldError: no stack, unequal heights, or not one label a stack.
+    """
+    if not stacks or len({stack.shape[1] for stack in stacks}) != 1:
+        heights = [stack.shape[1] for stack in stacks]
+        raise KeycldError(f"panels side by side need equal heights; got {heights}: enlarge the smaller ones.")
+    if labels is not None and len(labels) != len(stacks):
+        raise KeycldError(f"{len(stacks)} panels need as many labels; got {len(labels)}.")
+    length = max(len(stack) for stack in stacks)
+    panels = []
+    for k, stack in enumerate(stacks):
+        held = np.concatenate([stack, np.repeat(stack[-1:], length - len(stack), axis=0)])
+        if labels is not None:
+            strip = text_strip(labels[k], held.shape[2])
+            held = np.concatenate([np.broadcast_to(strip, (length, *strip.shape)), held], axis=1)
+        if k > 0:
+            panels.append(_blank((length, held.shape[1], gap, 3)))
+        panels.append(held)
+    return np.concatenate(panels, axis=2)
+
+
+def sheet(
+    rows: Sequence[UInt8[np.ndarray, "_ _ _ 3"]], every: int = 6, gap: int = 1
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Every `every`-th frame from left to right, one stack a row: the layout of the paper's Fig. 4.
+
+    Args:
+        rows: stacks with equal shapes, for example ground truth above prediction.
+        every: frames from one column to the next; the paper shows every sixth of 50.
+        gap: dark pixels between frames.
+
+    Raises:
+        KeycldError: no row, or rows of unequal shapes.
+    """
+    if not rows or len({row.shape for row in rows}) != 1:
+        raise KeycldError(f"the rows of a sheet need one shape; got {[row.shape for row in rows]}.")
+    lines = []
+    for k, row in enumerate(rows):
+        line = side_by_side([frame[None] for frame in row[::every]], gap=gap)[0]
+        if k > 0:
+            lines.append(_blank((gap, line.shape[1], 3)))
+        lines.append(line)
+    return np.concatenate(lines, axis=0)
+
+
+def text_strip(text: str, width: int, height: int = 22) -> UInt8[np.ndarray, "height width 3"]:
+    """A dark strip with one centred word."""
+    figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0)
+    figure.patch.set_facecolor("#{:02x}{:02x}{:02x}".format(*GAP_COLOUR))
+    figure.text(
+        0.5, 0.5, text, ha="center", va="center", color="white", fontsize=min(9.0, 0.3 * height + 2.0)
+    )
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.asarray(canvas.buffer_rgba())[:height, :width, :3].copy()
+
+
+def _blank(shape: tuple[int, ...]) -> np.ndarray:
+    return np.broadcast_to(np.array(GAP_COLOUR, np.uint8), shape)

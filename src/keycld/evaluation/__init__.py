@@ -1,0 +1,61 @@
+"""How good is a prediction: metrics, protocols, trivial baselines, probes of what was learned."""
+
+from keycld.evaluation.baselines import References as References
+from keycld.evaluation.baselines import baseline_errors as baseline_errors
+from keycld.evaluation.baselines import references as references
+from keycld.evaluation.drift import constraint_drift as constraint_drift
+from keycld.evaluation.drift import energy_drift as energy_drift
+from keycld.evaluation.evaluate import Evaluation as Evaluation
+from keycld.evaluation.evaluate import evaluate as evaluate
+from keycld.evaluation.metrics import DM_THRESHOLD as DM_THRESHOLD
+from keycld.evaluation.metrics import epsilon as epsilon
+from keycld.evaluation.metrics import frame_errors as frame_errors
+from keycld.evaluation.metrics import mean_image as mean_image
+from keycld.evaluation.metrics import relative_errors as relative_errors
+from keycld.evaluation.metrics import statistics as statistics
+from keycld.evaluation.metrics import valid_prediction_time as valid_prediction_time
+from keycld.evaluation.predicting import Predicted as Predicted
+from keycld.evaluation.predicting import predict_batch as predict_batch
+from keycld.evaluation.prediction_file import predict_file as predict_file
+from keycld.evaluation.probe import Probe as Probe
+from keycld.evaluation.probe import fit_probe as fit_probe
+from keycld.evaluation.probe import invert_landmarks as invert_landmarks
+from keycld.evaluation.protocols import Protocol as Protocol
+from keycld.evaluation.protocols import protocol_named as protocol_named
+from keycld.evaluation.protocols import standard_protocols as standard_protocols
+from keycld.evaluation.published import PAPER_VPT as PAPER_VPT
+from keycld.evaluation.storage import load_evaluation as load_evaluation
+from keycld.evaluation.storage import save_evaluation as save_evaluation
+from keycld.evaluation.summary import summary as summary
+from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
+
+__all__ = [
+    "DM_THRESHOLD",
+    "PAPER_VPT",
+    "Evaluation",
+    "Predicted",
+    "Probe",
+    "Protocol",
+    "References",
+    "baseline_errors",
+    "constraint_drift",
+    "energy_drift",
+    "epsilon",
+    "evaluate",
+    "evaluate_sweeps",
+    "fit_probe",
+    "frame_errors",
+    "invert_landmarks",
+    "load_evaluation",
+    "mean_image",
+    "predict_batch",
+    "predict_file",
+    "protocol_named",
+    "references",
+    "relative_errors",
+    "save_evaluation",
+    "standard_protocols",
+    "statistics",
+    "summary",
+    "valid_prediction_time",
+]

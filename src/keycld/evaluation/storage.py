@@ -1,0 +1,58 @@
+"""Results on disk: NAME.json with the scores, NAME.npz with the arrays, both whole or absent."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keycld._errors import KeycldError
+from keycld.drawing import replacing
+from keycld.evaluation.evaluate import Evaluation
+
+
+def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Path:
+    """Write `evaluation/NAME.npz` and `evaluation/NAME.json` of a run folder; returns the latter's path.
+
+    The JSON is written last, so a result that can be seen is complete. Numbers that are not finite become
+    null.
+    """
+    path = Path(folder) / "evaluation" / f"{name}.json"
+    with replacing(path.with_suffix(".npz")) as temporary:
+        np.savez_compressed(temporary, allow_pickle=False, **evaluation.arrays)
+    with replacing(path) as temporary:
+        temporary.write_text(json.dumps(_plain(evaluation.scores), indent=1, allow_nan=False) + "\n")
+    return path
+
+
+def load_evaluation(folder: str | Path, name: str) -> Evaluation:
+    """Read what `save_evaluation` wrote.
+
+    Raises:
+        KeycldError: it is missing or damaged.
+    """
+    path = Path(folder) / "evaluation" / f"{name}.json"
+    try:
+        scores = json.loads(path.read_text())
+        with np.load(path.with_suffix(".npz"), allow_pickle=False) as archive:
+            return Evaluation(scores, dict(archive))
+    except FileNotFoundError as error:
+        raise KeycldError(
+            f"no result '{name}' in '{folder}': run `keycld eval` on this run first."
+        ) from error
+    except Exception as error:
+        raise KeycldError(f"the result '{path}' is damaged ({error}): run `keycld eval` again.") from error
+
+
+def _plain(value: Any) -> Any:
+    """The value with NumPy numbers as Python ones and without anything that JSON does not know."""
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

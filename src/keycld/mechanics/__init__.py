@@ -1,0 +1,93 @@
+"""The physics, without images: constraints, Lagrangian and Hamiltonian mechanics, integrators, energies."""
+
+from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
+from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
+from keycld.mechanics.constraints import AbstractRelation as AbstractRelation
+from keycld.mechanics.constraints import Constraints as Constraints
+from keycld.mechanics.constraints import DistanceToPoint as DistanceToPoint
+from keycld.mechanics.constraints import FixedDistance as FixedDistance
+from keycld.mechanics.constraints import FunctionConstraint as FunctionConstraint
+from keycld.mechanics.constraints import OnLine as OnLine
+from keycld.mechanics.constraints import as_constraint as as_constraint
+from keycld.mechanics.constraints_toml import dump_constraints as dump_constraints
+from keycld.mechanics.constraints_toml import load_constraints as load_constraints
+from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
+from keycld.mechanics.dynamics import joining_velocity as joining_velocity
+from keycld.mechanics.generalized import GeneralizedLagrangian as GeneralizedLagrangian
+from keycld.mechanics.generalized import MLPFactor as MLPFactor
+from keycld.mechanics.generalized import pulled_back as pulled_back
+from keycld.mechanics.hamiltonian import Hamiltonian as Hamiltonian
+from keycld.mechanics.hamiltonian import LegendreLaw as LegendreLaw
+from keycld.mechanics.hamiltonian import momentum as momentum
+from keycld.mechanics.hamiltonian import to_hamiltonian as to_hamiltonian
+from keycld.mechanics.integrators import RK2 as RK2
+from keycld.mechanics.integrators import RK4 as RK4
+from keycld.mechanics.integrators import AbstractIntegrator as AbstractIntegrator
+from keycld.mechanics.integrators import Euler as Euler
+from keycld.mechanics.integrators import Leapfrog as Leapfrog
+from keycld.mechanics.lagrangian import AbstractLaw as AbstractLaw
+from keycld.mechanics.lagrangian import ConstrainedLagrangian as ConstrainedLagrangian
+from keycld.mechanics.linear import solve_positive as solve_positive
+from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatrix
+from keycld.mechanics.networks import AffineMLPPotential as AffineMLPPotential
+from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
+from keycld.mechanics.networks import MLPPotential as MLPPotential
+from keycld.mechanics.networks import Perceptron as Perceptron
+from keycld.mechanics.networks import PointMasses as PointMasses
+from keycld.mechanics.rattle import Rattle as Rattle
+from keycld.mechanics.rigid_body import PointPair as PointPair
+from keycld.mechanics.rigid_body import RigidBody as RigidBody
+from keycld.mechanics.rigid_body import rigid_body as rigid_body
+from keycld.mechanics.rigid_body import two_point_masses as two_point_masses
+from keycld.mechanics.shake import Shake as Shake
+from keycld.mechanics.state import AbstractDynamics as AbstractDynamics
+from keycld.mechanics.state import Motion as Motion
+from keycld.mechanics.state import Scalar as Scalar
+from keycld.mechanics.state import State as State
+
+__all__ = [
+    "AbstractConstraint",
+    "AbstractDynamics",
+    "AbstractIntegrator",
+    "AbstractLaw",
+    "AbstractRelation",
+    "AffineMLPInputMatrix",
+    "AffineMLPPotential",
+    "ConstrainedLagrangian",
+    "Constraints",
+    "DistanceToPoint",
+    "Euler",
+    "FixedDistance",
+    "FunctionConstraint",
+    "GeneralizedLagrangian",
+    "Hamiltonian",
+    "Leapfrog",
+    "LegendreLaw",
+    "MLPFactor",
+    "MLPInputMatrix",
+    "MLPPotential",
+    "MechanicalDynamics",
+    "Motion",
+    "OnLine",
+    "Perceptron",
+    "PointMasses",
+    "PointPair",
+    "RK2",
+    "RK4",
+    "Rattle",
+    "RigidBody",
+    "Scalar",
+    "Shake",
+    "State",
+    "adaptive_rollout",
+    "as_constraint",
+    "dump_constraints",
+    "joining_velocity",
+    "load_constraints",
+    "momentum",
+    "pulled_back",
+    "rigid_body",
+    "solve_positive",
+    "to_hamiltonian",
+    "two_point_masses",
+]

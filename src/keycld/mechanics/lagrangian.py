@@ -1,0 +1,209 @@
+"""Constrained Lagrangian mechanics of point masses in Cartesian coordinates (paper, section 2 and A.1)."""
+
+import abc
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from keycld._errors import KeycldError
+from keycld.mechanics.constraints import AbstractConstraint, as_constraint
+from keycld.mechanics.linear import gram, solve_positive, times
+
+
+class AbstractLaw(eqx.Module):
+    """A law of motion of second order with its energies."""
+
+    @abc.abstractmethod
+    def acceleration(
+        self,
+        x: Float[Array, "dim"],
+        v: Float[Array, "dim"],
+        u: Float[Array, "l"],
+        parameters: dict[str, Any] | None = None,
+    ) -> Float[Array, "dim"]:
+        """a(x, v, u)."""
+
+    @abc.abstractmethod
+    def kinetic_energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
+        """T(x, v)."""
+
+    @abc.abstractmethod
+    def potential_energy(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
+        """V(x)."""
+
+    def energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
+        """T + V."""
+        return self.kinetic_energy(x, v) + self.potential_energy(x)
+
+
+class ConstrainedLagrangian(AbstractLaw):
+    """Point masses with a potential energy, inputs and holonomic constraints.
+
+    L = ½ vᵀMv − V(x), constraints Φ(x) = constant, forces f = −∇V(x) + g(x) u − D v (eqs. 17–20).
+    The acceleration is eq. (6):
+
+        a = M⁻¹f − M⁻¹DΦᵀ (DΦ M⁻¹ DΦᵀ)⁻¹ (DΦ M⁻¹ f + ⟨D²Φ, v⟩v)
+
+    M, V, g (and D) are determined only up to one common factor, which cancels here.
+
+    Args:
+        mass: a module with `masses` [K], for instance `PointMasses`.
+        potential: V, a callable x [2K] → number.
+        input_matrix: g, a callable x [2K] → [2K, l]; None where there is no input.
+        constraint: an `AbstractConstraint`, or a plain function `(x, parameters)` → [n]; None for free
+            masses.
+        damping: L [K, K], of which the lower triangle counts: D = (L Lᵀ) ⊗ I₂; None for no dissipation.
+
+    Raises:
+        KeycldError: if the constraint or the damping belongs to another number of keypoints.
+    """
+
+    mass: eqx.Module
+    potential: Callable
+    input_matrix: Callable | None
+    constraint_function: AbstractConstraint
+    damping: Float[Array, "K K"] | None
+
+    def __init__(self, mass, potential, input_matrix=None, constraint=None, damping=None):
+        count = mass.masses.shape[0]
+        self.mass = mass
+        self.potential = potential
+        self.input_matrix = input_matrix
+        self.constraint_function = as_constraint(_nothing if constraint is None else constraint, 2 * count)
+        if damping is not None and damping.shape != (count, count):
+            raise KeycldError(
+                f"damping is a lower triangular matrix [K, K] with K = {count} keypoints, "
+                f"not of shape {damping.shape}."
+            )
+        self.damping = damping
+
+    @property
+    def masses(self) -> Float[Array, "K"]:
+        """Masses m [K], one a keypoint."""
+        return self.mass.masses  # pyright: ignore[reportAttributeAccessIssue]
+
+    @property
+    def inverse_mass(self) -> Float[Array, "dim"]:
+        """The diagonal of M⁻¹ [2K]."""
+        return jnp.repeat(1 / self.masses, 2)
+
+    @property
+    def count(self) -> int:
+        """n, the number of constraints."""
+        return self.constraint_function.count
+
+    @property
+    def dissipative(self) -> bool:
+        """Whether velocities cause forces."""
+        return self.damping is not None
+
+    @property
+    def damping_matrix(self) -> Float[Array, "K K"]:
+        """L Lᵀ [K, K], zero without dissipation; D is its Kronecker product with I₂."""
+        if self.damping is None:
+            return jnp.zeros((self.masses.shape[0],) * 2)
+        lower = jnp.tril(self.damping)
+        return gram(lower, lower)
+
+    def constraint(
+        self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None
+    ) -> Float[Array, "n"]:
+        """Φ(x)."""
+        return self.constraint_function(x, parameters)
+
+    def jacobian(
+        self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None
+    ) -> Float[Array, "n dim"]:
+        """DΦ(x)."""
+        return jax.jacfwd(self.constraint)(x, parameters)
+
+    def force(self, x: Float[Array, "dim"], u: Float[Array, "l"]) -> Float[Array, "dim"]:
+        """Force −∇V(x) + g(x) u, without damping."""
+        return combine(self.fields(x), u)
+
+    def fields(self, x: Float[Array, "dim"]) -> tuple[Float[Array, "dim"], Float[Array, "dim l"] | None]:
+        """∇V(x) and g(x): what an integrator keeps of a position, whatever the input will be."""
+        return jax.grad(self.potential)(x), None if self.input_matrix is None else self.input_matrix(x)
+
+    def acceleration(
+        self,
+        x: Float[Array, "dim"],
+        v: Float[Array, "dim"],
+        u: Float[Array, "l"],
+        parameters: dict[str, Any] | None = None,
+    ) -> Float[Array, "dim"]:
+        """Acceleration by eq. (6), with −D v among the forces.
+
+        The linear system is solved by a damped Cholesky factorisation: redundant constraints and vanishing
+        Jacobians give finite accelerations. ⟨D²Φ, v⟩v is a Jacobian-vector product of one.
+        """
+        f = self.force(x, u)
+        if self.dissipative:
+            f = f - jnp.matmul(self.damping_matrix, v.reshape(-1, 2), precision="highest").reshape(-1)
+        free = self.inverse_mass * f
+        jacobian = self.jacobian(x, parameters)
+        if jacobian.shape[0] == 0:
+            return free
+
+        def rate(y):
+            return jax.jvp(lambda z: self.constraint(z, parameters), (y,), (v,))[1]
+
+        curvature = jax.jvp(rate, (x,), (v,))[1]
+        pull = self.inverse_mass[None, :] * jacobian
+        multipliers = solve_positive(gram(jacobian, pull), times(jacobian, free) + curvature)
+        return free - times(pull.T, multipliers)
+
+    def kinetic_energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
+        """T = ½ vᵀMv; the positions do not matter."""
+        return 0.5 * jnp.sum(jnp.repeat(self.masses, 2) * v * v)
+
+    def potential_energy(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
+        """V(x)."""
+        return self.potential(x)
+
+    def project_velocity(
+        self, x: Float[Array, "dim"], v: Float[Array, "dim"], parameters: dict[str, Any] | None = None
+    ) -> Float[Array, "dim"]:
+        """The nearest velocity that the constraints allow: onto ker DΦ(x) in the mass metric, so DΦ v = 0."""
+        return tangential(self, self.jacobian(x, parameters), v)
+
+    def project_position(
+        self,
+        x: Float[Array, "dim"],
+        constants: Float[Array, "n"],
+        parameters: dict[str, Any] | None = None,
+        iterations: int = 3,
+    ) -> Float[Array, "dim"]:
+        """A near position with Φ(x) = constants, by damped Gauss–Newton iterations in the mass metric."""
+        for _ in range(iterations if constants.shape[0] else 0):
+            jacobian = self.jacobian(x, parameters)
+            pull = self.inverse_mass[None, :] * jacobian
+            defect = constants - self.constraint(x, parameters)
+            x = x + times(pull.T, solve_positive(gram(jacobian, pull), defect))
+        return x
+
+
+def combine(
+    fields: tuple[Float[Array, "dim"], Float[Array, "dim l"] | None], u: Float[Array, "l"]
+) -> Float[Array, "dim"]:
+    """Force −∇V + g u from the two fields at a position."""
+    gradient, matrix = fields
+    return -gradient if matrix is None else times(matrix, u) - gradient
+
+
+def tangential(
+    law: ConstrainedLagrangian, jacobian: Float[Array, "n dim"], v: Float[Array, "dim"]
+) -> Float[Array, "dim"]:
+    """Project on ker DΦ in the mass metric: v − M⁻¹DΦᵀ(DΦ M⁻¹ DΦᵀ)⁻¹DΦ v."""
+    if jacobian.shape[0] == 0:
+        return v
+    pull = law.inverse_mass[None, :] * jacobian
+    return v - times(pull.T, solve_positive(gram(jacobian, pull), times(jacobian, v)))
+
+
+def _nothing(x: Array, parameters: Any) -> Array:
+    return x[:0]

@@ -1,0 +1,82 @@
+"""What every model offers, so that any model runs on any data set and is scored by any protocol."""
+
+from abc import abstractmethod
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from keycld.mechanics import State
+from keycld.vision import Observation
+
+
+class Prediction(NamedTuple):
+    """Frames 0 … T−1 of a trajectory and the states that they were drawn from, stacked along time."""
+
+    frames: Float[Array, "T H W 3"]
+    states: State
+
+
+class AbstractModel(eqx.Module):
+    """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches.
+
+    - `context`: the least number of consecutive frames that `infer` needs.
+    - `reversible`: whether `rollout` accepts a negative `dt`.
+    """
+
+    context: eqx.AbstractClassVar[int]
+    reversible: eqx.AbstractClassVar[bool]
+
+    @abstractmethod
+    def anchor(self, n: int) -> int:
+        """The index of the frame that the state inferred from `n` frames belongs to."""
+
+    @abstractmethod
+    def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
+        """The state at frame `anchor(n)` from `n` consecutive frames in [0, 1] and the inputs meanwhile."""
+
+    @abstractmethod
+    def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
+        """The given state and the `steps` that follow it, stacked.
+
+        `u` is `[l]`, constant, or `[steps, l]`; with negative `dt` the motion runs backward and the inputs,
+        still given in the order of time, are read in reverse.
+        """
+
+    @abstractmethod
+    def render(self, state: State) -> Float[Array, "H W 3"]:
+        """The picture of a state."""
+
+    @abstractmethod
+    def observe(self, frame: Float[Array, "H W 3"]) -> Observation | None:
+        """The keypoints seen in one frame; None for a model without keypoints."""
+
+    @abstractmethod
+    def keypoints(self, state: State) -> Float[Array, "K 2"] | None:
+        """The keypoints of a state in image-plane units; None for a model without keypoints."""
+
+    def predict(
+        self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."], length: int
+    ) -> Prediction:
+        """Frames 0 … `length` − 1 from the given ones and the inputs alone.
+
+        The state inferred at the anchor is rolled out to the end and, for the frames before the anchor, back
+        to the start; the given frames are reconstructed too.
+
+        **Arguments:**
+
+        - `frames`: the first `n ≥ context` frames.
+        - `dt`: seconds between frames.
+        - `u`: `[l]`, constant, or `[length, l]`, of which `u[k]` is held from frame k to k + 1.
+        - `length`: how many frames to return.
+        """
+        anchor = self.anchor(frames.shape[0])
+        state = self.infer(frames, dt, u)
+        constant = u.ndim == 1
+        states = self.rollout(state, dt, u if constant else u[anchor : length - 1], length - 1 - anchor)
+        if anchor > 0:
+            back = self.rollout(state, -dt, u if constant else u[:anchor], anchor)
+            states = jax.tree.map(lambda past, future: jnp.concatenate([past[:0:-1], future]), back, states)
+        return Prediction(jax.vmap(self.render)(states), states)

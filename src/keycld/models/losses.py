@@ -1,0 +1,183 @@
+"""The losses of KeyCLD's training stages. Each takes the model and a batch of clips; only this file batches.
+
+Pixels are summed and frames averaged throughout, as in the released code (the paper's eqs. 10 and 13 print sums
+over frames; λ = 5e-4 belongs to the averages).
+"""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keycld.data import Clip
+from keycld.models.keycld import KeyCLD
+from keycld.vision import gaussian_maps, image_grid
+
+Terms = dict[str, Float[Array, ""]]
+
+
+class AbstractLoss(eqx.Module):
+    """A scalar to minimise and its terms by name, for a batch of clips."""
+
+    @abstractmethod
+    def __call__(self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray) -> tuple[Float[Array, ""], Terms]:
+        """Evaluates the loss; `key` is the step's own randomness."""
+
+
+class VisionLoss(AbstractLoss):
+    """Learns to see, from single frames: the picture must pass through the keypoints.
+
+    reconstruction + `heat_map` · focus + `constraint` · Σ Var Φ(x).
+
+    - `heat_map`: weight of the cross-entropy between each heat map and a Gaussian of width `sigma` at its own
+      (stop-gradient) keypoint, which keeps the maps single-peaked (the 2024 version's loss).
+    - `constraint`: weight of the variance of the constraint functions over the batch. Only DΦ enters eq. (6), so
+      the constants are free, but they must be *constants*: where the distance to the pivot changes with the angle
+      (paper, Fig. 13b) no dynamics can follow.
+    - `sigma`: image-plane units.
+    """
+
+    heat_map: float = 1.0
+    constraint: float = 20.0
+    sigma: float = 0.05
+
+    def __call__(self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray) -> tuple[Float[Array, ""], Terms]:
+        """Evaluates the loss on clips of one frame each."""
+        assert clips.frames is not None
+        frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
+        seen = jax.vmap(model.observe)(frames)
+        x = seen.keypoints.reshape(frames.shape[0], -1)
+        terms = {
+            "reconstruction": _squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
+            "heat_map": _focus(model, seen.heat_maps, seen.keypoints, frames.shape[1:3], self.sigma),
+            "constraint": jnp.sum(jnp.var(jax.vmap(model.dynamics.law.constraint)(x), axis=0)),
+        }
+        total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + self.constraint * terms["constraint"]
+        return total, terms
+
+
+class TrackLoss(AbstractLoss):
+    """Learns to move, from cached keypoints: windows are rolled out from their first two frames.
+
+    Mean over frames of the summed pseudo-Huber distance s²(√(1 + |Δx/s|²) − 1)·2 between the roll-out and the
+    cached keypoints, which is |Δx|² while small and grows linearly where a roll-out has lost its way.
+    """
+
+    scale: float = 0.1
+
+    def __call__(self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray) -> tuple[Float[Array, ""], Terms]:
+        """Evaluates the loss on windows of consecutive keypoints."""
+        x = clips.keypoints
+        assert x is not None
+
+        def one(x: Array, u: Array, dt: Array) -> Array:
+            return _path(model, x, u, dt, x.shape[0])
+
+        error = jax.vmap(one)(x, clips.u, clips.dt) - x
+        track = jnp.mean(jnp.sum(_huber(error, self.scale), axis=-1))
+        return track, {"track": track}
+
+
+class PredictionLoss(AbstractLoss):
+    """Sees and moves together: everything is drawn from the motion that starts at the first two frames.
+
+    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen keypoints|² + `constraint` · Σ Var Φ
+    + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint sets start a long motion, which
+    is what decides a prediction.
+
+    - `track`: weight of the squared distance in image-plane units; 3000 makes an eighth of a pixel cost what an
+      ordinary reconstruction error costs.
+    """
+
+    track: float = 3000.0
+    constraint: float = 20.0
+    heat_map: float = 1.0
+    sigma: float = 0.05
+    scale: float = 0.1
+
+    def __call__(self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray) -> tuple[Float[Array, ""], Terms]:
+        """Evaluates the loss on clips whose first two frames are consecutive."""
+        assert clips.frames is not None
+        batch, count, height, width, _ = clips.frames.shape
+        frames = clips.frames.reshape(-1, height, width, 3)
+        seen = jax.vmap(model.observe)(frames)
+        x = seen.keypoints.reshape(batch, count, -1)
+
+        def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
+            return _path(model, x, u, dt, clips.span)[index]
+
+        rolled = jax.vmap(one)(x, clips.index, clips.u, clips.dt)
+        drawn = jax.vmap(model.renderer)(rolled.reshape(frames.shape[0], -1, 2))
+        values = jax.vmap(model.dynamics.law.constraint)(x.reshape(batch * count, -1))
+        terms = {
+            "reconstruction": _squared_error(drawn, frames),
+            "track": jnp.mean(jnp.sum(_huber(rolled - x, self.scale), axis=-1)),
+            "constraint": jnp.sum(jnp.var(values, axis=0)),
+            "heat_map": _focus(model, seen.heat_maps, seen.keypoints, (height, width), self.sigma),
+        }
+        total = (
+            terms["reconstruction"]
+            + self.track * terms["track"]
+            + self.constraint * terms["constraint"]
+            + self.heat_map * terms["heat_map"]
+        )
+        return total, terms
+
+
+class CollocationLoss(AbstractLoss):
+    """The paper's loss L = L_r + λ L_d, eqs. (10)–(13): reconstruction, and accelerations without integration.
+
+    L_d compares central differences taken twice, (x_{i+2} − 2x_i + x_{i−2}) / 4h², with eq. (6) at the central
+    difference of the velocity.
+
+    - `weight`: λ = 5e-4.
+    """
+
+    weight: float = 5e-4
+
+    def __call__(self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray) -> tuple[Float[Array, ""], Terms]:
+        """Evaluates the loss on windows of at least five consecutive frames."""
+        assert clips.frames is not None
+        batch, count = clips.frames.shape[:2]
+        frames = clips.frames.reshape(-1, *clips.frames.shape[2:])
+        keypoints = jax.vmap(model.observe)(frames).keypoints
+        law = model.dynamics.law
+
+        def one(x: Array, u: Array, dt: Array) -> Array:
+            velocity = (x[2:] - x[:-2]) / (2 * dt)
+            seen = (velocity[2:] - velocity[:-2]) / (2 * dt)
+            inputs = jnp.broadcast_to(u[None, :], (count - 4, u.shape[0])) if u.ndim == 1 else u[2 : count - 2]
+            return seen - jax.vmap(law.acceleration)(x[2:-2], velocity[1:-1], inputs)
+
+        defect = jax.vmap(one)(keypoints.reshape(batch, count, -1), clips.u, clips.dt)
+        terms = {
+            "reconstruction": _squared_error(jax.vmap(model.renderer)(keypoints), frames),
+            "dynamics": jnp.mean(jnp.sum(defect**2, axis=-1)),
+        }
+        return terms["reconstruction"] + self.weight * terms["dynamics"], terms
+
+
+def _path(model: KeyCLD, x: Array, u: Array, dt: Array, span: int) -> Array:
+    """Positions `[span, 2K]` of the motion that starts at the first two of the seen keypoint sets."""
+    start = model.start(x[0], x[1], dt, u if u.ndim == 1 else u[0])
+    return model.rollout(start, dt, u if u.ndim == 1 else u[: span - 1], span - 1).coordinates.x
+
+
+def _squared_error(drawn: Array, frames: Array) -> Array:
+    return jnp.mean(jnp.sum((drawn - frames) ** 2, axis=(1, 2, 3)))
+
+
+def _huber(error: Array, scale: float) -> Array:
+    return 2 * scale**2 * (jnp.sqrt(1 + (error / scale) ** 2) - 1)
+
+
+def _focus(model: KeyCLD, maps: Array, keypoints: Array, size: tuple[int, int], sigma: float) -> Array:
+    """Cross-entropy between each heat map and a Gaussian at its own keypoint, minus the Gaussian's entropy."""
+    grid = image_grid(*size, model.estimator.stride)
+    blobs = jax.vmap(lambda x: gaussian_maps(x, grid, sigma))(jax.lax.stop_gradient(keypoints))
+    target = blobs.transpose(0, 3, 1, 2)
+    target = target / (jnp.sum(target, axis=(2, 3), keepdims=True) + 1e-12)
+    divergence = target * (jnp.log(target + 1e-12) - jnp.log(maps + 1e-12))
+    return jnp.mean(jnp.sum(divergence, axis=(1, 2, 3)))

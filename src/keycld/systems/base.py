@@ -1,0 +1,135 @@
+"""What every system offers: how it moves, what it looks like, and which keypoints suit it."""
+
+import abc
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from keycld._errors import KeycldError
+
+if TYPE_CHECKING:
+    from keycld.mechanics import Constraints
+
+Control = Literal["none", "under", "full"]
+Start = Literal["rest", "random", "released"]
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """How runs are driven and started.
+
+    **Fields:**
+
+    - `control`: which inputs act. `"full"`: all; `"under"`: all but the second; `"none"`: no input.
+    - `start`: `"rest"`: dm_control's reset of its swing-up tasks; `"random"`: the journal version's (all positions
+      and velocities random); `"released"`: any position, exactly zero velocity.
+    - `input_limit`: u is drawn uniformly in ± this.
+    - `clip`: whether the motors limit u to the system's `input_range`.
+
+    **Good values:** the defaults are those of arXiv v1 (2022); the journal version (2024) has `start="random"`,
+    `input_limit=2`, `clip=False`.
+    """
+
+    control: Control = "full"
+    start: Start = "rest"
+    input_limit: float = 3.0
+    clip: bool = True
+
+
+class Run(NamedTuple):
+    """One simulated recording of T frames, without its pictures.
+
+    **Fields:** `time [T]` in seconds, `input [l]` (constant in a run), `state [T, d]`, `state_derivative [T, d]` in
+    the units of the system, all float64.
+    """
+
+    time: np.ndarray
+    input: np.ndarray
+    state: np.ndarray
+    state_derivative: np.ndarray
+
+
+class SweepPath(NamedTuple):
+    """States along a path or over a grid of the configuration space, at rest.
+
+    **Fields:** `name`; `state [n, d]`; `shape`, `(n,)` for a path and `(rows, columns)` for a grid, row by row;
+    `vary`, the names of the states that change (one an axis of `shape`).
+    """
+
+    name: str
+    state: np.ndarray
+    shape: tuple[int, ...]
+    vary: tuple[str, ...]
+
+
+class Drawer(Protocol):
+    """Draws a system's states; `description` names what draws (for example the GL renderer)."""
+
+    description: str
+
+    def draw(self, state: np.ndarray) -> np.ndarray:
+        """The picture, uint8 `[size, size, 3]`, of one state `[d]`."""
+        ...
+
+
+class AbstractSystem(abc.ABC):
+    """Something that moves and can be watched.
+
+    **Attributes:**
+
+    - `name`; `dt`: seconds between frames; `size`: pixels of a side.
+    - `state_names`, `units`: one a component of the state, all positions first, then all velocities.
+    - `input_names`: one an input; `input_range`: the largest |u| of its motors when they are limited.
+    - `keypoints`: names of the points to watch. `control_modes`, `starts`: the conditions that it knows.
+    """
+
+    name: ClassVar[str]
+    dt: ClassVar[float]
+    size: ClassVar[int] = 64
+    state_names: ClassVar[tuple[str, ...]]
+    units: ClassVar[tuple[str, ...]]
+    input_names: ClassVar[tuple[str, ...]]
+    input_range: ClassVar[float]
+    keypoints: ClassVar[tuple[str, ...]]
+    control_modes: ClassVar[tuple[Control, ...]]
+    starts: ClassVar[tuple[Start, ...]]
+
+    @property
+    @abc.abstractmethod
+    def constraints(self) -> "Constraints":
+        """The constraints Φ suggested for `keypoints`; only their Jacobian matters, so the constants need not fit."""
+
+    @abc.abstractmethod
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """True positions `[..., K, 2]` of `keypoints` in the image plane, for states `[..., d]`.
+
+        x right, y up, ±1 at the centres of the outermost pixels. For evaluation only, never for training.
+        """
+
+    @abc.abstractmethod
+    def record(self, random: np.random.RandomState, frames: int, conditions: Conditions) -> Run:
+        """Simulate one run: draws input and start from `random`; frame k shows the state after step k + 1."""
+
+    @abc.abstractmethod
+    def sweeps(self) -> tuple[SweepPath, ...]:
+        """The paths and the grid of the energy figures (the paper's Figs. 8 to 12)."""
+
+    @abc.abstractmethod
+    def drawer(self) -> AbstractContextManager[Drawer]:
+        """A context in which this process draws the system. Keep to one system a process (see `rendering`)."""
+
+    def check(self, conditions: Conditions) -> None:
+        """Raise `KeycldError` where the system does not know the conditions."""
+        if conditions.control not in self.control_modes:
+            raise KeycldError(
+                f"{self.name} has no control mode '{conditions.control}': choose from {', '.join(self.control_modes)}."
+            )
+        if conditions.start not in self.starts:
+            raise KeycldError(
+                f"{self.name} has no start '{conditions.start}': choose from {', '.join(self.starts)}."
+            )
+        if not (np.isfinite(conditions.input_limit) and conditions.input_limit >= 0):
+            raise KeycldError(f"input_limit must be a number of at least 0, not {conditions.input_limit}.")

@@ -1,0 +1,69 @@
+"""The acrobot: two links of 1 kg and 1 m with motors in both joints."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from keycld.systems import sweeping
+from keycld.systems.base import SweepPath
+from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
+from keycld.systems.registry import register
+
+if TYPE_CHECKING:
+    from keycld.mechanics import Constraints
+
+LENGTH = 1.0
+SHOULDER_HEIGHT = 2.1
+
+
+@register
+class Acrobot(AbstractMujocoSystem):
+    """A double pendulum of two uniform capsules; torques 2 u₁ at the shoulder and 2 u₂ at the elbow.
+
+    State: shoulder angle (0 upright), elbow angle relative to the upper arm, their velocities. Two keypoints: the
+    elbow at a fixed distance from the shoulder at the image centre, the tip at one from the elbow. Chaotic at high
+    energy. Source: KeyCLD, appendix A.6 and Fig. 7.
+    """
+
+    name = "acrobot"
+    dt = 0.01
+    state_names = ("shoulder", "elbow", "shoulder_velocity", "elbow_velocity")
+    units = ("rad", "rad", "rad/s", "rad/s")
+    input_names = ("shoulder_torque", "elbow_torque")
+    keypoints = ("elbow", "tip")
+    camera_height = 2.1
+    camera_distance = 6.0
+
+    @property
+    def constraints(self) -> "Constraints":
+        """|x₁| and |x₁ − x₂| are constant."""
+        from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
+
+        return Constraints(
+            keypoints=self.keypoints, items=(DistanceToPoint("elbow", (0.0, 0.0)), FixedDistance("elbow", "tip"))
+        )
+
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """The elbow's axis and the end of the lower arm's axis."""
+        shoulder, lower = state[..., 0], state[..., 0] + state[..., 1]
+        elbow = LENGTH * np.stack([np.sin(shoulder), np.cos(shoulder)], axis=-1) + np.array([0.0, SHOULDER_HEIGHT])
+        tip = elbow + LENGTH * np.stack([np.sin(lower), np.cos(lower)], axis=-1)
+        return self.to_image_plane(np.stack([elbow, tip], axis=-2))
+
+    def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        """Any two angles, no velocity."""
+        return uniform_angles(random, 2), np.zeros(2)
+
+    def positions(self, random: np.random.RandomState, slider_limit: float) -> np.ndarray:
+        """Any two angles."""
+        return uniform_angles(random, 2)
+
+    def sweeps(self) -> tuple[SweepPath, ...]:
+        """The whole arm turns stretched (Fig. 11), the lower arm turns under a hanging upper arm (Fig. 12)."""
+        return (
+            sweeping.path(self.state_names, "shoulder", {"shoulder": sweeping.FULL_TURN}, {"elbow": 0.0}),
+            sweeping.path(self.state_names, "elbow", {"elbow": sweeping.FULL_TURN}, {"shoulder": np.pi}),
+            sweeping.grid(
+                self.state_names, "grid", {"shoulder": sweeping.FULL_TURN, "elbow": sweeping.FULL_TURN}
+            ),
+        )

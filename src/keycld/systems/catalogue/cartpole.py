@@ -1,0 +1,70 @@
+"""The cartpole: a cart of 1 kg on an endless rail with a pole of 0.1 kg and 1 m."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from keycld.systems import sweeping
+from keycld.systems.base import SweepPath
+from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
+from keycld.systems.registry import register
+
+if TYPE_CHECKING:
+    from keycld.mechanics import Constraints
+
+LENGTH = 1.0
+CART_HEIGHT = 1.0
+# The cart stays in the picture over this part of the rail, metres.
+SWEEP = (-2.0, 2.0)
+
+
+@register
+class Cartpole(AbstractMujocoSystem):
+    """A cart pushed by 4 u₁ newtons and a pole (uniform, from the cart's centre) turned by u₂ newton metres.
+
+    State: slider s, hinge θ (0 upright), their velocities. Two keypoints: the cart on a horizontal line, the pole's
+    tip at a fixed distance from it. Source: KeyCLD, appendix A.6 and Fig. 7.
+    """
+
+    name = "cartpole"
+    dt = 0.01
+    state_names = ("position", "angle", "velocity", "angular_velocity")
+    units = ("m", "rad", "m/s", "rad/s")
+    input_names = ("force", "torque")
+    keypoints = ("cart", "tip")
+    camera_height = 1.0
+    camera_distance = 6.0
+
+    @property
+    def constraints(self) -> "Constraints":
+        """y₁ and |x₁ − x₂| are constant."""
+        from keycld.mechanics import Constraints, FixedDistance, OnLine
+
+        return Constraints(
+            keypoints=self.keypoints, items=(OnLine("cart", direction=(1.0, 0.0)), FixedDistance("cart", "tip"))
+        )
+
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """The cart's centre, where the hinge is, and the end of the pole's axis."""
+        slider, angle = state[..., 0], state[..., 1]
+        cart = np.stack([slider, np.full_like(slider, CART_HEIGHT)], axis=-1)
+        tip = cart + LENGTH * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
+        return self.to_image_plane(np.stack([cart, tip], axis=-2))
+
+    def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        """Hanging, with a little noise."""
+        position = np.array([0.01 * random.randn(), np.pi + 0.01 * random.randn()])
+        return position, 0.01 * random.randn(2)
+
+    def positions(self, random: np.random.RandomState, slider_limit: float) -> np.ndarray:
+        """The slider within its limit, any angle."""
+        return np.array([random.uniform(-slider_limit, slider_limit), random.uniform(-np.pi, np.pi)])
+
+    def sweeps(self) -> tuple[SweepPath, ...]:
+        """The pole's full turn on a still cart (Fig. 9), the cart along the rail with a hanging pole (Fig. 10)."""
+        turn = {"angle": sweeping.FULL_TURN}
+        return (
+            sweeping.path(self.state_names, "pole", turn, {"position": 0.0}),
+            sweeping.path(self.state_names, "cart", {"position": SWEEP}, {"angle": np.pi}),
+            sweeping.grid(self.state_names, "grid", {"position": SWEEP} | turn),
+        )

@@ -1,0 +1,61 @@
+"""The pendulum: a bob of 1 kg on a massless rod of 0.5 m, turned by a motor in its pivot."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from keycld.systems import sweeping
+from keycld.systems.base import SweepPath
+from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
+from keycld.systems.registry import register
+
+if TYPE_CHECKING:
+    from keycld.mechanics import Constraints
+
+LENGTH = 0.5
+
+
+@register
+class Pendulum(AbstractMujocoSystem):
+    """m l² θ̈ = m g l sin θ + 2 u, with m = 1 kg, l = 0.5 m and θ = 0 upright (positive to the right).
+
+    The paper's hardest of the three: the thinnest pole and speeds up to 27.6 rad/s. One keypoint, the bob, at a
+    fixed distance from the pivot at the image centre. Source: KeyCLD, appendix A.6 and Fig. 7.
+    """
+
+    name = "pendulum"
+    dt = 0.02
+    state_names = ("angle", "angular_velocity")
+    units = ("rad", "rad/s")
+    input_names = ("torque",)
+    keypoints = ("tip",)
+    camera_height = 0.6
+    camera_distance = 2.5
+
+    @property
+    def constraints(self) -> "Constraints":
+        """|x₁| is constant."""
+        from keycld.mechanics import Constraints, DistanceToPoint
+
+        return Constraints(keypoints=self.keypoints, items=(DistanceToPoint("tip", (0.0, 0.0)),))
+
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """The bob's centre."""
+        angle = state[..., 0]
+        tip = np.stack([LENGTH * np.sin(angle), self.camera_height + LENGTH * np.cos(angle)], axis=-1)
+        return self.to_image_plane(tip[..., None, :])
+
+    def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        """Any angle, no velocity."""
+        return uniform_angles(random, 1), np.zeros(1)
+
+    def positions(self, random: np.random.RandomState, slider_limit: float) -> np.ndarray:
+        """Any angle."""
+        return uniform_angles(random, 1)
+
+    def sweeps(self) -> tuple[SweepPath, ...]:
+        """A full turn (Fig. 8) and 16 angles."""
+        return (
+            sweeping.path(self.state_names, "rotation", {"angle": sweeping.FULL_TURN}, {}),
+            sweeping.grid(self.state_names, "grid", {"angle": sweeping.FULL_TURN}),
+        )

@@ -1,0 +1,126 @@
+"""Systems simulated by MuJoCo: the runs of KeyCLD's protocol, from seeds."""
+
+import abc
+import math
+from contextlib import AbstractContextManager
+from functools import lru_cache
+from importlib import resources
+from typing import Any, ClassVar
+
+import numpy as np
+
+from keycld._errors import KeycldError
+from keycld.systems.base import AbstractSystem, Conditions, Control, Drawer, Run, Start
+
+# Half of MuJoCo's default vertical field of view, 45 degrees.
+_HALF_VIEW = math.radians(22.5)
+_ZERO_INPUT_PROBABILITY = 0.2
+
+
+def import_mujoco() -> Any:
+    """The `mujoco` module, or a sentence that says how to get it."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise KeycldError("this system needs MuJoCo: install it with pip install 'keycld[envs]'.") from error
+    return mujoco
+
+
+@lru_cache(maxsize=8)
+def load_model(name: str, clip: bool) -> Any:
+    """The `MjModel` of `models/NAME.xml`, its motors limited or not."""
+    path = resources.files("keycld.systems").joinpath("models", f"{name}.xml")
+    model = import_mujoco().MjModel.from_xml_path(str(path))
+    model.actuator_ctrllimited[:] = clip
+    return model
+
+
+class AbstractMujocoSystem(AbstractSystem):
+    """A system whose state is MuJoCo's (qpos, qvel), seen by a camera that looks along +y with z up.
+
+    **Attributes:** `camera_height`, `camera_distance`: metres, of the fixed camera from the plane of motion.
+    """
+
+    starts: ClassVar[tuple[Start, ...]] = ("rest", "random", "released")
+    input_range: ClassVar[float] = 3.0
+    camera_height: ClassVar[float]
+    camera_distance: ClassVar[float]
+
+    @abc.abstractmethod
+    def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+        """Positions and velocities of dm_control's reset of the swing-up task."""
+
+    @abc.abstractmethod
+    def positions(self, random: np.random.RandomState, slider_limit: float) -> np.ndarray:
+        """Positions anywhere: angles uniform in ±π, a slider in ± its limit (metres)."""
+
+    @property
+    def control_modes(self) -> tuple[Control, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """`"under"` exists where there are two motors."""
+        return ("none", "full") if len(self.input_names) == 1 else ("none", "under", "full")
+
+    def to_image_plane(self, points: np.ndarray) -> np.ndarray:
+        """Image-plane units of world points `[..., 2]` = (x, z) in the plane y = 0, metres."""
+        half_height = self.camera_distance * math.tan(_HALF_VIEW)
+        # The edges of the picture are at ±1 of the view, the centres of its outermost pixels half a pixel inside.
+        scale = self.size / (self.size - 1) / half_height
+        return (points - np.array([0.0, self.camera_height])) * scale
+
+    def _input(self, random: np.random.RandomState, conditions: Conditions) -> np.ndarray:
+        limit = conditions.input_limit
+        u = random.uniform(-limit, limit, size=len(self.input_names))
+        if random.uniform() < _ZERO_INPUT_PROBABILITY or conditions.control == "none":
+            u[:] = 0.0
+        if conditions.control == "under":
+            u[1:] = 0.0
+        return u
+
+    def _start(self, random: np.random.RandomState, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+        if conditions.start == "released":
+            position = self.positions(random, slider_limit=0.5)
+            return position, np.zeros_like(position)
+        position, velocity = self.rest(random)
+        if conditions.start == "random":
+            position = self.positions(random, slider_limit=1.0)
+            velocity = random.uniform(-0.1, 0.1, size=velocity.shape)
+        return position, velocity
+
+    def record(self, random: np.random.RandomState, frames: int, conditions: Conditions) -> Run:
+        """Draws, in this order: the input, one number that sets it to zero below 0.2, the start."""
+        self.check(conditions)
+        u = self._input(random, conditions)
+        position, velocity = self._start(random, conditions)
+        return self.simulate(np.concatenate([position, velocity]), u, frames, clip=conditions.clip)
+
+    def simulate(self, state: np.ndarray, u: np.ndarray, frames: int, *, clip: bool = True) -> Run:
+        """Follow the motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame.
+
+        One physics step a frame, as in the paper; the first frame is the state **after** the first step.
+        """
+        mujoco = import_mujoco()
+        model = load_model(self.name, clip)
+        data, probe = mujoco.MjData(model), mujoco.MjData(model)
+        n = model.nq
+        data.qpos[:], data.qvel[:] = state[:n], state[n:]
+        inputs = np.broadcast_to(u, (frames, model.nu))
+        time, states, derivatives = np.empty(frames), np.empty((frames, 2 * n)), np.empty((frames, 2 * n))
+        for k in range(frames):
+            data.ctrl[:] = inputs[k]
+            mujoco.mj_step(model, data)
+            time[k], states[k] = data.time, np.concatenate([data.qpos, data.qvel])
+            # After a step qacc still belongs to the state before it, so a second MjData evaluates it afresh.
+            probe.qpos[:], probe.qvel[:], probe.ctrl[:] = data.qpos, data.qvel, data.ctrl
+            mujoco.mj_forward(model, probe)
+            derivatives[k] = np.concatenate([probe.qvel, probe.qacc])
+        return Run(time, np.array(u, dtype=float), states, derivatives)
+
+    def drawer(self) -> AbstractContextManager[Drawer]:
+        """MuJoCo's own renderer."""
+        from keycld.systems.rendering import MujocoDrawer
+
+        return MujocoDrawer(self.name, self.size)
+
+
+def uniform_angles(random: np.random.RandomState, count: int) -> np.ndarray:
+    """Angles uniform in ±π, radians."""
+    return random.uniform(-np.pi, np.pi, size=count)

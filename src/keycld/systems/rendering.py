@@ -1,0 +1,76 @@
+"""Headless drawing of MuJoCo models, and what to do where it fails."""
+
+import os
+import sys
+from typing import Any, Self
+
+import numpy as np
+
+from keycld._errors import KeycldError
+from keycld.systems.mujoco_system import import_mujoco, load_model
+
+# dm_control draws shadows from a map of 2048 x 2048. With 1024 at most 2 of 10,000 colour values change by more
+# than two levels, and a software renderer is 1.5 times faster.
+_SHADOW_MAP = 1024
+_SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software rasterizer")
+
+NO_GL = (
+    "nothing can draw here, because no OpenGL context could be made ({reason}): on Debian or Ubuntu install "
+    "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; set MUJOCO_GL to choose "
+    "another back end."
+)
+
+
+def use_headless_gl() -> None:
+    """Choose EGL on Linux where the user has not chosen; call before `mujoco` is imported."""
+    if sys.platform.startswith("linux"):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+
+
+def is_software(description: str) -> bool:
+    """Whether the named GL renderer draws on the CPU, which is 40 to 400 times slower than a GPU."""
+    return any(word in description.lower() for word in _SOFTWARE)
+
+
+class MujocoDrawer:
+    """Draws one system with `mujoco.Renderer`, camera 0. A context manager.
+
+    On llvmpipe, renderers of several models in one process gave corrupted pictures: one system a process.
+    """
+
+    def __init__(self, name: str, size: int):
+        """Arguments: the model's name, pixels of a side."""
+        self.name, self.size = name, size
+
+    def __enter__(self) -> Self:
+        use_headless_gl()
+        mujoco = import_mujoco()
+        self._model = load_model(self.name, True)
+        self._model.vis.quality.shadowsize = _SHADOW_MAP
+        # A buffer no larger than the picture: the default of 640 x 480 is cleared for nothing in every frame.
+        self._model.vis.global_.offwidth = self._model.vis.global_.offheight = self.size
+        self._data = mujoco.MjData(self._model)
+        try:
+            self._renderer = mujoco.Renderer(self._model, self.size, self.size)
+            self.description = _gl_renderer()
+        except Exception as error:  # every GL library fails in its own way
+            raise KeycldError(NO_GL.format(reason=f"{type(error).__name__}: {error}")) from error
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self._renderer.close()
+
+    def draw(self, state: np.ndarray) -> np.ndarray:
+        """The picture, uint8 `[size, size, 3]`, of one state (qpos, qvel)."""
+        mujoco = import_mujoco()
+        self._data.qpos[:] = state[: self._model.nq]
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._renderer.update_scene(self._data, camera=0)
+        return self._renderer.render()
+
+
+def _gl_renderer() -> str:
+    from OpenGL import GL
+
+    return GL.glGetString(GL.GL_RENDERER).decode()

@@ -1,0 +1,168 @@
+"""The one training loop: stages in order, checkpoints, metrics, resume."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from keycld.data import Resident
+from keycld.models import AbstractModel
+from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position, save_checkpoint
+from keycld.training.progress import Bar
+from keycld.training.run_folder import Metrics
+from keycld.training.stages import Stage
+from keycld.training.step import Progress, begin, diagnose, make_step
+from keycld.training.trackers import Tracker
+
+Validate = Callable[[AbstractModel], dict[str, float]]
+
+
+@dataclasses.dataclass
+class _Clock:
+    """Wall seconds, CPU seconds and frames of all processes that worked on this run."""
+
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    frames: int = 0
+
+    def __post_init__(self) -> None:
+        self._wall, self._cpu = time.monotonic(), time.process_time()
+
+    def tick(self) -> None:
+        wall, cpu = time.monotonic(), time.process_time()
+        self.seconds += wall - self._wall
+        self.cpu_seconds += cpu - self._cpu
+        self._wall, self._cpu = wall, cpu
+
+
+def train_stages(
+    model: AbstractModel,
+    stages: tuple[Stage, ...],
+    data: Resident,
+    folder: Path,
+    *,
+    seed: int,
+    steps_per_dispatch: int,
+    checkpoint_seconds: float,
+    log_every: int,
+    tracker: Tracker,
+    validate: Validate,
+) -> AbstractModel:
+    """Trains through all stages and leaves a checkpoint at each end; resumes where the folder's latest one is.
+
+    A checkpoint holds weights, optimiser state, the cached keypoints and the step. The randomness of a step is
+    a function of seed, stage and step number, so a resumed run takes the same steps, bit for bit.
+    """
+    for stage in stages:
+        stage.sampler.check(data)
+    first, step, clock = 0, 0, _Clock()
+    checkpoint = latest_checkpoint(folder)
+    progress: Progress | None = None
+    if checkpoint is not None:
+        position = read_position(checkpoint)
+        first, step = position["stage"], position["step"]
+        clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
+        if position["cached"]:
+            shape = (*data.image.shape[:2], position["cached"])
+            empty = jax.ShapeDtypeStruct(shape, np.float32)
+            data = eqx.tree_at(lambda d: d.keypoints, data, empty, is_leaf=lambda x: x is None)
+        stage = stages[first] if first < len(stages) else stages[-1]
+        started, _ = begin(stage, model)
+        optimiser = None if position["done"] else started.optimiser
+        model, optimiser, cached = load_leaves(checkpoint, (model, optimiser, data.keypoints))
+        data = dataclasses.replace(data, keypoints=cached)
+        if position["done"]:
+            first, step = first + 1, 0
+        else:
+            started, _ = begin(stage, model)
+            progress = started._replace(optimiser=optimiser, step=started.step + step)
+    before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
+    metrics = Metrics(folder, before[first] + step)
+
+    def save(number: int, progress: Progress | None, model: AbstractModel, step: int) -> None:
+        clock.tick()
+        done = progress is None
+        position = {
+            "stage": number,
+            "stages": len(stages),
+            "name": stages[number].name,
+            "step": step,
+            "done": done,
+            "cached": 0 if data.keypoints is None else data.keypoints.shape[-1],
+            "seconds": clock.seconds,
+            "cpu_seconds": clock.cpu_seconds,
+            "frames": clock.frames,
+        }
+        tree = (model, None if progress is None else progress.optimiser, data.keypoints)
+        save_checkpoint(folder, f"{number:02d}-{stages[number].name}-{step:06d}", tree, position)
+
+    for number in range(first, len(stages)):
+        stage = stages[number]
+        if progress is None and stage.prepare is not None:
+            model, data = stage.prepare(model, data)
+        started, rest = begin(stage, model)
+        progress = started if progress is None else progress
+        runs: dict[int, Callable] = {}
+        done = int(progress.step)
+        bar = Bar(stage.name, stage.steps, start=done)
+        per_step = _frames(stage, data)
+        saved, pending = time.monotonic(), []
+        logged_at, logged_frames = time.monotonic(), clock.frames
+        while done < stage.steps:
+            chunk = min(steps_per_dispatch, stage.steps - done)
+            if chunk not in runs:
+                runs[chunk] = make_step(stage, number, seed, model, chunk)
+            progress, terms = runs[chunk]((rest, data), progress)
+            pending.append(terms)
+            done += chunk
+            clock.frames += per_step * chunk
+            if done % log_every < chunk or done == stage.steps:
+                values = {k: float(np.mean([np.mean(t[k]) for t in pending])) for k in terms}
+                pending = []
+                if not bool(progress.healthy):
+                    raise diagnose(stage, number, seed, progress, rest, data)
+                clock.tick()
+                now = time.monotonic()
+                rate = (clock.frames - logged_frames) / max(now - logged_at, 1e-9)
+                logged_at, logged_frames = now, clock.frames
+                metrics.write(
+                    step=before[number] + done,
+                    stage=stage.name,
+                    seconds=round(clock.seconds, 2),
+                    cpu_seconds=round(clock.cpu_seconds, 2),
+                    frames=clock.frames,
+                    **values,
+                )
+                tracker.log(before[number] + done, values)
+                bar.show(done, rate, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
+                if now - saved > checkpoint_seconds and done < stage.steps:
+                    save(number, progress, eqx.combine(progress.parameters, rest), done)
+                    saved = time.monotonic()
+        model = eqx.combine(progress.parameters, rest)
+        if stage.validate:
+            scores = validate(model)
+            clock.tick()
+            metrics.write(
+                step=before[number] + done,
+                stage=stage.name,
+                seconds=round(clock.seconds, 2),
+                cpu_seconds=round(clock.cpu_seconds, 2),
+                frames=clock.frames,
+                **scores,
+            )
+            tracker.log(before[number] + done, scores)
+            print("validation   " + "  ".join(f"{k} {v:.3f}" for k, v in scores.items()), flush=True)
+        progress = None
+        save(number, None, model, done)
+    return model
+
+
+def _frames(stage: Stage, data: Resident) -> int:
+    """Pictures that pass through the networks in one step."""
+    clips = eqx.filter_eval_shape(stage.sampler, data, jax.random.key(0), jax.numpy.array(0))
+    return 0 if clips.frames is None else int(np.prod(clips.frames.shape[:2]))

@@ -1,0 +1,49 @@
+"""What a preset is: settings, a model, and the stages that train it."""
+
+import abc
+import dataclasses
+from typing import Any
+
+from jaxtyping import PRNGKeyArray
+
+from keycld.mechanics import AbstractConstraint
+from keycld.models import AbstractModel
+from keycld.training.stages import Stage
+
+
+@dataclasses.dataclass(frozen=True)
+class Scene:
+    """What a recipe must know of the data to build a model; never anything measured on test data.
+
+    - `height`, `width`: of the pictures, pixels.
+    - `inputs`: l, the number of inputs.
+    - `frames`: of a training trajectory.
+    - `trajectories`: how many there are.
+    - `keypoints`: their names.
+    - `constraint`: Φ.
+    """
+
+    height: int
+    width: int
+    inputs: int
+    frames: int
+    trajectories: int
+    keypoints: tuple[str, ...]
+    constraint: AbstractConstraint
+
+
+@dataclasses.dataclass(frozen=True)
+class AbstractRecipe(abc.ABC):
+    """A frozen dataclass of settings that makes a model and its stages; saved whole in `config.json`."""
+
+    @abc.abstractmethod
+    def model(self, scene: Scene, key: PRNGKeyArray) -> AbstractModel:
+        """A model with fresh weights."""
+
+    @abc.abstractmethod
+    def stages(self, scene: Scene) -> tuple[Stage, ...]:
+        """What is trained, in order."""
+
+    def settings(self) -> dict[str, Any]:
+        """The settings as JSON."""
+        return dataclasses.asdict(self)

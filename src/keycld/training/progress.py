@@ -1,0 +1,42 @@
+"""What a long training tells the person who waits: a bar on a terminal, plain lines elsewhere."""
+
+import sys
+import time
+
+
+class Bar:
+    """One line a stage with speed and time left.
+
+    On a terminal the line is redrawn at most ten times a second; elsewhere a plain line appears every
+    `every` seconds and at the end.
+    """
+
+    def __init__(self, name: str, total: int, *, start: int = 0, every: float = 15.0, stream=None):
+        """`start`: steps already done before this process began."""
+        self._name, self._total, self._first = name, total, start
+        self._stream = sys.stderr if stream is None else stream
+        self._live = self._stream.isatty()
+        self._pause = 0.1 if self._live else every
+        self._begin = self._shown = time.monotonic()
+
+    def show(self, done: int, unit_rate: float, text: str) -> None:
+        """`done` steps of the total are done, at `unit_rate` frames a second."""
+        now = time.monotonic()
+        last = done >= self._total
+        if now - self._shown < self._pause and not last:
+            return
+        self._shown = now
+        elapsed = now - self._begin
+        left = elapsed / max(done - self._first, 1) * (self._total - done)
+        share = done / max(self._total, 1)
+        filled = round(20 * share)
+        bar = "█" * filled + "·" * (20 - filled)
+        line = f"{self._name:12s} {bar} {done}/{self._total}  {unit_rate:6.0f} frames/s  {_clock(left)} left  {text}"
+        if self._live:
+            print("\r\x1b[2K" + line, end="\n" if last else "", file=self._stream, flush=True)
+        else:
+            print(line, file=self._stream, flush=True)
+
+
+def _clock(seconds: float) -> str:
+    return f"{int(seconds) // 60}:{int(seconds) % 60:02d}"

@@ -1,0 +1,107 @@
+"""A recipe is a list of stages; a stage says what is sampled, what is minimised and what may change."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array
+
+from keycld.data import AbstractSampler, Resident
+
+Loss = Callable[..., tuple[Array, dict[str, Array]]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Stage:
+    """One part of a training run.
+
+    - `name`: appears in the progress, the metrics and the checkpoints' names.
+    - `steps`: optimiser steps.
+    - `sampler`: draws the clips of a step.
+    - `loss`: `loss(model, clips, key=key) -> (scalar, terms)`.
+    - `rates`: learning rate of each named group of parameters; a group that is not named stays as it is. A
+      group is named by the model's own field, `estimator`, `renderer`, `dynamics`, …
+    - `optimiser`: makes an optax transformation from a learning-rate schedule.
+    - `schedule`: makes that schedule from the peak rate and the number of steps.
+    - `clip`: largest global norm of a gradient; larger ones are shortened to it. None: unlimited.
+    - `prepare`: changes the model and adds to the resident data before the first step (statistics, cached
+      keypoints, a least-squares start).
+    - `validate`: score the validation set when the stage has ended.
+    """
+
+    name: str
+    steps: int
+    sampler: AbstractSampler
+    loss: Loss
+    rates: Mapping[str, float]
+    optimiser: Callable[[optax.Schedule], optax.GradientTransformation] = optax.adam
+    schedule: Callable[[float, int], optax.Schedule] = lambda rate, steps: optax.constant_schedule(rate)
+    clip: float | None = None
+    prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
+    validate: bool = False
+
+    def trainable(self, model: eqx.Module) -> Any:
+        """A pytree of the model's shape: True at every leaf that this stage trains."""
+        groups = {name: jax.tree.map(eqx.is_inexact_array, getattr(model, name)) for name in self.rates}
+        frozen = jax.tree.map(lambda _: False, model)
+        return eqx.tree_at(
+            lambda tree: [getattr(tree, name) for name in groups],
+            frozen,
+            list(groups.values()),
+            is_leaf=lambda x: x is None,
+        )
+
+    def transformation(self, parameters: Any) -> optax.GradientTransformation:
+        """The optimiser of this stage for the trainable part of a model."""
+        labels = {name: jax.tree.map(lambda _, name=name: name, getattr(parameters, name)) for name in self.rates}
+        tree = eqx.tree_at(
+            lambda tree: [getattr(tree, name) for name in labels], parameters, list(labels.values())
+        )
+        rules = {name: self.optimiser(self.schedule(rate, self.steps)) for name, rate in self.rates.items()}
+        combined = optax.multi_transform(rules, tree)
+        if self.clip is None:
+            return combined
+        return optax.chain(optax.clip_by_global_norm(self.clip), combined)
+
+
+def warmup_cosine(
+    rate: float, steps: int, *, warmup: float = 0.05, final: float = 0.02
+) -> optax.Schedule:
+    """Linear rise over the first `warmup` part of the steps, then half a cosine down to `final · rate`."""
+    rise = max(1, round(warmup * steps))
+    return optax.warmup_cosine_decay_schedule(0.0, rate, rise, max(steps, rise + 1), final * rate)
+
+
+def forgetful(optimiser: Callable[[optax.Schedule], optax.GradientTransformation]):
+    """The fault of the released code: the optimiser starts from an empty state at every step.
+
+    With Adam the update is then close to −rate · sign(gradient), whatever the gradient's size.
+    """
+
+    def make(schedule: optax.Schedule) -> optax.GradientTransformation:
+        inner = optimiser(schedule)
+
+        def update(updates: Any, state: Any, parameters: Any = None):
+            fresh, _ = inner.update(updates, inner.init(parameters), parameters)
+            return fresh, state
+
+        return optax.GradientTransformation(lambda parameters: optax.EmptyState(), update)
+
+    return make
+
+
+def step_keys(seed: int, stage: int) -> tuple[Array, Array]:
+    """Two keys of a stage: one draws the clips, one is the loss's own. A step folds its number in."""
+    key = jax.random.fold_in(jax.random.key(seed), stage + 1)
+    clips, loss = jax.random.split(key)
+    return clips, loss
+
+
+def finite(tree: Any) -> Array:
+    """Whether every number of a pytree is finite."""
+    leaves = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
+    return jnp.all(jnp.stack(leaves)) if leaves else jnp.array(True)

@@ -1,0 +1,96 @@
+"""One optimiser step, and several in one dispatch, as a compiled function without Python in the loop."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array
+
+from keycld._errors import KeycldError
+from keycld.data import Resident
+from keycld.training.stages import Stage, finite, step_keys
+
+
+class Progress(NamedTuple):
+    """What a step changes: the trained parameters, the optimiser's state, the step number, and a flag.
+
+    `healthy` turns False at the first step whose loss or gradient is not finite; from then on nothing changes, so
+    that the parameters of that step are still there to be examined.
+    """
+
+    parameters: Any
+    optimiser: Any
+    step: Array
+    healthy: Array
+
+
+def begin(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
+    """The state at the stage's first step, and the part of the model that the stage leaves alone."""
+    parameters, rest = eqx.partition(model, stage.trainable(model))
+    # A copy, because a step donates its buffers and the caller may still hold the model.
+    parameters = jax.tree.map(jnp.copy, parameters)
+    state = stage.transformation(parameters).init(parameters)
+    return Progress(parameters, state, jnp.array(0), jnp.array(True)), rest
+
+
+def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: int) -> Callable:
+    """Compiles `steps` optimiser steps of a stage into one function.
+
+    `run((rest, data), progress) -> (progress, terms)`; terms are stacked over the steps and the buffers of the given
+    progress are used again.
+
+    One step a dispatch is right on a CPU: XLA runs convolutions inside a loop there on a single thread without its
+    fast kernels (measured twenty times slower). On a GPU several steps hide the launch.
+    """
+    parameters, _ = eqx.partition(model, stage.trainable(model))
+    transformation = stage.transformation(parameters)
+    clip_key, loss_key = step_keys(seed, number)
+
+    def one(progress: Progress, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
+        clips = stage.sampler(data, clip_key, progress.step)
+
+        def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
+            model = eqx.combine(parameters, rest)
+            return stage.loss(model, clips, key=jax.random.fold_in(loss_key, progress.step))
+
+        (loss, terms), gradient = jax.value_and_grad(objective, has_aux=True)(progress.parameters)
+        healthy = progress.healthy & jnp.isfinite(loss) & finite(gradient)
+        updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
+        stepped = (optax.apply_updates(progress.parameters, updates), optimiser, progress.step + 1)
+        kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:3]))
+        return Progress(*kept, healthy), {"loss": loss, **terms}
+
+    def run(fixed: tuple[Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
+        rest, data = fixed
+        if steps == 1:
+            progress, terms = one(progress, rest, data)
+            return progress, jax.tree.map(lambda term: term[None], terms)
+        return jax.lax.scan(lambda carry, _: one(carry, rest, data), progress, length=steps)
+
+    return eqx.filter_jit(run, donate="all-except-first")
+
+
+def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
+    """Names the step, the loss terms and the parameters that were not finite; `progress` is of that step."""
+    clip_key, loss_key = step_keys(seed, number)
+    clips = stage.sampler(data, clip_key, progress.step)
+
+    def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
+        key = jax.random.fold_in(loss_key, progress.step)
+        return stage.loss(eqx.combine(parameters, rest), clips, key=key)
+
+    (_, terms), gradient = jax.jit(jax.value_and_grad(objective, has_aux=True))(progress.parameters)
+    bad_terms = [name for name, value in terms.items() if not bool(jnp.isfinite(value))]
+    leaves = jax.tree_util.tree_leaves_with_path(gradient)
+    bad_leaves = [
+        jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves if not bool(jnp.all(jnp.isfinite(leaf)))
+    ]
+    where = f"loss term {', '.join(bad_terms)}" if bad_terms else "the gradient only, no loss term"
+    which = f"{bad_leaves[0]} and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else "".join(bad_leaves)
+    return KeycldError(
+        f"not a finite number at step {int(progress.step)} of stage '{stage.name}': {where}; parameter "
+        f"{which or 'none'}. The last checkpoint is intact; lower the learning rate or check the data."
+    )

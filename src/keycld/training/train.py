@@ -1,0 +1,187 @@
+"""From a data set and a preset to a trained model in a run folder."""
+
+import dataclasses
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keycld._errors import KeycldError, unknown
+from keycld.data import DataSet, Resident, open_data
+from keycld.evaluation import epsilon, frame_errors, predict_batch, valid_prediction_time
+from keycld.mechanics import AbstractConstraint, Constraints, constraints_from_toml, constraints_to_toml
+from keycld.models import AbstractModel
+from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position
+from keycld.training.loop import train_stages
+from keycld.training.presets import AbstractRecipe, Scene, recipe_class
+from keycld.training.run_folder import RunConfig, open_run, read_config
+from keycld.training.trackers import make_tracker
+
+
+def train(
+    data: str | Path,
+    out: str | Path,
+    *,
+    preset: str = "fast",
+    settings: dict[str, Any] | None = None,
+    seed: int = 0,
+    constraints: Constraints | Callable | None = None,
+    track: str = "none",
+    checkpoint_seconds: float = 60.0,
+    log_every: int = 25,
+) -> AbstractModel:
+    """Trains a model and leaves everything in the folder `out`; the same call resumes a killed run.
+
+    **Arguments:**
+
+    - `data`: name of a system whose data set is under `data/`, or the folder of any data set.
+    - `out`: run folder.
+    - `preset`: `"fast"` (ours) or `"paper"` (arXiv v1 as published).
+    - `settings`: fields of the preset's recipe to change, by name.
+    - `seed`: of weights and data order. Same seed, machine and settings: same bits.
+    - `constraints`: instead of those beside the data or of the system.
+    - `track`: `"none"`, `"wandb"`, `"trackio"` or `"tensorboard"`.
+    - `checkpoint_seconds`: a killed run loses at most about this much.
+    - `log_every`: steps between lines of `metrics.jsonl`.
+
+    **Raises:** KeycldError for anything a user can mend, before the first step where possible.
+    """
+    folder = Path(out)
+    dataset = open_data(data)
+    constraint = constraints if constraints is not None else dataset.constraints
+    recipe = make_recipe(preset, settings or {})
+    images = dataset.train()
+    scene = make_scene(images, dataset.keypoints, constraint)
+    steps_per_dispatch = 1 if jax.default_backend() == "cpu" else 25
+    config = RunConfig(
+        data=str(dataset.folder),
+        system=dataset.system_name,
+        model="keycld",
+        preset=preset,
+        settings=recipe.settings(),
+        seed=seed,
+        constraints=constraints_to_toml(constraint) if isinstance(constraint, Constraints) else None,
+        scene={k: v for k, v in dataclasses.asdict(scene).items() if k != "constraint"},
+        dt=dataset.dt,
+        steps_per_dispatch=steps_per_dispatch,
+        checkpoint_seconds=checkpoint_seconds,
+        command=shlex.join(sys.argv),
+    )
+    stages = recipe.stages(scene)
+    resident = Resident(jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32))
+    for stage in stages:
+        stage.sampler.check(resident)
+    open_run(folder, config)
+    tracker = make_tracker(track, folder, dataclasses.asdict(config))
+    try:
+        return train_stages(
+            recipe.model(scene, jax.random.key(seed)),
+            stages,
+            resident,
+            folder,
+            seed=seed,
+            steps_per_dispatch=steps_per_dispatch,
+            checkpoint_seconds=checkpoint_seconds,
+            log_every=log_every,
+            tracker=tracker,
+            validate=validation_score(dataset),
+        )
+    finally:
+        tracker.close()
+
+
+def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[AbstractModel, RunConfig]:
+    """The model of a run's newest checkpoint, and the run's configuration; needs no data.
+
+    **Arguments:**
+
+    - `run`: run folder.
+    - `constraint`: only for a run that was trained with a Python function as constraint.
+    """
+    folder = Path(run)
+    config = read_config(folder)
+    checkpoint = latest_checkpoint(folder)
+    if checkpoint is None:
+        raise KeycldError(f"{folder} has no checkpoint yet; wait for the first one or train it again.")
+    if config.constraints is not None:
+        constraint = constraints_from_toml(config.constraints)
+    elif constraint is None:
+        raise KeycldError(f"{folder} was trained with a Python function as constraint; pass that function again.")
+    scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
+    model = make_recipe(config.preset, config.settings).model(scene, jax.random.key(0))
+    # The model comes first among the leaves, so it can be read without the optimiser's state behind it.
+    return load_leaves(checkpoint, (model,))[0], config
+
+
+def finished(run: str | Path) -> bool:
+    """Whether a run has trained to the end of its last stage."""
+    checkpoint = latest_checkpoint(Path(run))
+    if checkpoint is None:
+        return False
+    position = read_position(checkpoint)
+    return bool(position["done"]) and position["stage"] == position["stages"] - 1
+
+
+def make_recipe(preset: str, settings: dict[str, Any]) -> AbstractRecipe:
+    """A recipe with some settings changed; KeycldError names the nearest valid field and the type it takes."""
+    kind = recipe_class(preset)
+    fields = {field.name: field for field in dataclasses.fields(kind)}
+    values = {}
+    for name, value in settings.items():
+        if name not in fields:
+            raise unknown(f"setting of preset '{preset}'", name, fields)
+        default = fields[name].default
+        if isinstance(default, tuple):
+            value = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+        elif isinstance(default, float) and isinstance(value, int):
+            value = float(value)
+        if type(value) is not type(default):
+            raise KeycldError(
+                f"setting {name} of preset '{preset}' takes a {type(default).__name__} such as {default}, not {value!r}."
+            )
+        values[name] = value
+    return kind(**values)
+
+
+def make_scene(images: Any, keypoints: tuple[str, ...], constraint: AbstractConstraint | Callable) -> Scene:
+    """What a recipe must know of the training trajectories."""
+    count, length, height, width = images.image.shape[:4]
+    return Scene(
+        height=height,
+        width=width,
+        inputs=images.input.shape[-1],
+        frames=length,
+        trajectories=count,
+        keypoints=tuple(keypoints),
+        constraint=constraint,
+    )
+
+
+def validation_score(dataset: DataSet, batch: int = 10) -> Callable[[AbstractModel], dict[str, float]]:
+    """A function that gives a model's VPT on the validation trajectories, for the progress and for choosing.
+
+    The threshold is the mean validation image's error, as in the paper; test data is never touched.
+    """
+    data = dataset.validation()
+    threshold = epsilon(data.image)
+
+    def score(model: AbstractModel) -> dict[str, float]:
+        length = data.image.shape[1]
+        errors = []
+        for start in range(0, len(data.image), batch):
+            part = slice(start, start + batch)
+            given = data.image[part, : model.context].astype(np.float32) / 255
+            drawn = predict_batch(model, given, data.dt, data.input[part], length).frames
+            errors.append(frame_errors(data.image[part].astype(np.float32) / 255, np.asarray(drawn)))
+        vpt = valid_prediction_time(np.concatenate(errors), threshold) / length
+        return {"validation_vpt": float(np.mean(vpt)), "validation_vpt_median": float(np.median(vpt))}
+
+    return score
+
+
+__all__ = ["finished", "load_run", "make_recipe", "make_scene", "train", "validation_score"]

@@ -1,0 +1,25 @@
+"""Between images and coordinates: U-Nets, spatial softmax, Gaussian maps. Knows nothing of files or training."""
+
+from keycld.vision.coordinates import gaussian_maps as gaussian_maps
+from keycld.vision.coordinates import image_grid as image_grid
+from keycld.vision.coordinates import spatial_softmax as spatial_softmax
+from keycld.vision.keypoint_estimator import KeypointEstimator as KeypointEstimator
+from keycld.vision.keypoint_estimator import Observation as Observation
+from keycld.vision.keypoint_estimator import Standardise as Standardise
+from keycld.vision.renderer import Renderer as Renderer
+from keycld.vision.unet import AbstractUNet as AbstractUNet
+from keycld.vision.unet import LightUNet as LightUNet
+from keycld.vision.unet import PaperUNet as PaperUNet
+
+__all__ = [
+    "AbstractUNet",
+    "KeypointEstimator",
+    "LightUNet",
+    "Observation",
+    "PaperUNet",
+    "Renderer",
+    "Standardise",
+    "gaussian_maps",
+    "image_grid",
+    "spatial_softmax",
+]

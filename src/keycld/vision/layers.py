@@ -1,0 +1,97 @@
+"""Convolutional pieces, channels last, on one example `[H, W, C]`.
+
+They compute what the usual layers compute; where XLA's own form is slow on a CPU (max-pooling's gradient, the
+nearest-neighbour resize) an equal, faster form is used.
+"""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+
+class Conv(eqx.Module):
+    """A convolution with square kernel and zero padding that keeps the size.
+
+    Kernels start as N(0, 1/fan_in) truncated at two deviations, biases at zero (Flax's default, which the
+    paper's networks use).
+    """
+
+    kernel: Float[Array, "size size inputs outputs"]
+    bias: Float[Array, " outputs"]
+
+    def __init__(self, inputs: int, outputs: int, size: int = 3, *, key: PRNGKeyArray):
+        self.kernel = jax.nn.initializers.lecun_normal()(key, (size, size, inputs, outputs))
+        self.bias = jnp.zeros(outputs)
+
+    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
+        """Convolves one example."""
+        y = jax.lax.conv_general_dilated(
+            x[None], self.kernel.astype(x.dtype), (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
+        )[0]
+        return y + self.bias.astype(x.dtype)[None, None, :]
+
+
+class GroupNorm(eqx.Module):
+    """Group normalisation over height, width and the channels of a group (eight groups in the paper)."""
+
+    scale: Float[Array, " channels"]
+    offset: Float[Array, " channels"]
+    groups: int = eqx.field(static=True)
+
+    def __init__(self, channels: int, groups: int = 8):
+        self.scale = jnp.ones(channels)
+        self.offset = jnp.zeros(channels)
+        self.groups = groups
+
+    def __call__(self, x: Float[Array, "h w channels"]) -> Float[Array, "h w channels"]:
+        """Normalises one example; ε = 1e-6 as in Flax."""
+        # Means per channel first: they reduce the large axes once, and the groups are then a few numbers.
+        mean = self._pool(jnp.mean(x, (0, 1)))
+        square = self._pool(jnp.mean(x * x, (0, 1)))
+        gain = self.scale * jax.lax.rsqrt(jnp.maximum(square - mean * mean, 0.0) + 1e-6)
+        return x * gain[None, None, :] + (self.offset - mean * gain)[None, None, :]
+
+    def _pool(self, per_channel: Float[Array, " channels"]) -> Float[Array, " channels"]:
+        groups = jnp.mean(per_channel.reshape(self.groups, -1), axis=1)
+        return jnp.repeat(groups, per_channel.shape[0] // self.groups)
+
+
+class Block(eqx.Module):
+    """3×3 convolution, group normalisation, ReLU: the paper's building block (appendix A.4)."""
+
+    conv: Conv
+    norm: GroupNorm
+
+    def __init__(self, inputs: int, outputs: int, *, key: PRNGKeyArray):
+        self.conv = Conv(inputs, outputs, key=key)
+        self.norm = GroupNorm(outputs)
+
+    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
+        """Applies the block to one example."""
+        return jax.nn.relu(self.norm(self.conv(x)))
+
+
+def max_pool(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
+    """2×2 max-pooling."""
+    h, w, c = x.shape
+    return jnp.max(x.reshape(h // 2, 2, w // 2, 2, c), axis=(1, 3))
+
+
+def upsample(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
+    """Nearest-neighbour upsampling by two."""
+    return jnp.repeat(jnp.repeat(x, 2, axis=0), 2, axis=1)
+
+
+def space_to_depth(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
+    """Moves each `factor × factor` patch of pixels into the channels; nothing is lost."""
+    h, w, c = x.shape
+    x = x.reshape(h // factor, factor, w // factor, factor, c)
+    return x.transpose(0, 2, 1, 3, 4).reshape(h // factor, w // factor, factor * factor * c)
+
+
+def depth_to_space(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
+    """The inverse of `space_to_depth`."""
+    h, w, c = x.shape
+    x = x.reshape(h, w, factor, factor, c // factor**2).transpose(0, 2, 1, 3, 4)
+    return x.reshape(h * factor, w * factor, c // factor**2)

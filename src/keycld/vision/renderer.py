@@ -1,0 +1,42 @@
+"""From keypoints to a frame: Gaussian blobs and learned constant features through a U-Net."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from keycld.vision.coordinates import gaussian_maps, image_grid
+from keycld.vision.layers import depth_to_space
+from keycld.vision.unet import AbstractUNet
+
+
+class Renderer(eqx.Module):
+    """The renderer of the paper (section 3, appendix A.4).
+
+    Its input are constant feature maps, which it learns and which hold the still parts of the picture, and
+    one Gaussian map a keypoint, eq. (9); its output passes a logistic function.
+
+    - `network`: a U-Net from `features + K` channels to `3 · stride²`.
+    - `features`: the learned constant maps `[H/stride, W/stride, features]`.
+    - `background`: the mean frame of the training data, never trained, or None (the paper). The network then
+      adds to the background's logit and starts from a perfect still picture.
+    - `sigma`: width of the blobs in image-plane units; 0.1 in the paper.
+    """
+
+    network: AbstractUNet
+    features: Float[Array, "rows columns features"]
+    background: Float[Array, "H W 3"] | None
+    stride: int = eqx.field(static=True)
+    sigma: float = eqx.field(static=True)
+
+    def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
+        """Draws one frame with values in (0, 1)."""
+        rows, columns, _ = self.features.shape
+        grid = image_grid(rows * self.stride, columns * self.stride, self.stride)
+        blobs = gaussian_maps(keypoints, grid, self.sigma)
+        x = self.network(jnp.concatenate([self.features, blobs], axis=-1))
+        x = depth_to_space(x, self.stride)
+        if self.background is not None:
+            still = jnp.clip(jax.lax.stop_gradient(self.background), 0.002, 0.998)
+            x = x + jnp.log(still) - jnp.log1p(-still)
+        return jax.nn.sigmoid(x)

@@ -1,0 +1,81 @@
+"""The two U-Nets: the paper's, and a light one for processors without an accelerator."""
+
+from abc import abstractmethod
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keycld.vision.layers import Block, Conv, max_pool, upsample
+
+
+class AbstractUNet(eqx.Module):
+    """Maps `[h, w, inputs]` to `[h, w, outputs]`; height and width must be multiples of four."""
+
+    @abstractmethod
+    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
+        """Applies the network to one example."""
+
+
+class PaperUNet(AbstractUNet):
+    """The network of appendix A.4: widths 1-2-4-2-1 × `width`, two max-pools, skips by concatenation."""
+
+    down: tuple[Block, Block, Block]
+    up: tuple[Block, Block]
+    out: Conv
+
+    def __init__(self, inputs: int, outputs: int, width: int = 32, *, key: PRNGKeyArray):
+        keys = jax.random.split(key, 6)
+        self.down = (
+            Block(inputs, width, key=keys[0]),
+            Block(width, 2 * width, key=keys[1]),
+            Block(2 * width, 4 * width, key=keys[2]),
+        )
+        self.up = (Block(6 * width, 2 * width, key=keys[3]), Block(3 * width, width, key=keys[4]))
+        self.out = Conv(width, outputs, key=keys[5])
+
+    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
+        """Applies the network to one example."""
+        fine = self.down[0](x)
+        middle = self.down[1](max_pool(fine))
+        coarse = self.down[2](max_pool(middle))
+        middle = self.up[0](jnp.concatenate([upsample(coarse), middle], axis=-1))
+        fine = self.up[1](jnp.concatenate([upsample(middle), fine], axis=-1))
+        return self.out(fine)
+
+
+class LightUNet(AbstractUNet):
+    """The same shape of network with skips by addition: half of the arithmetic at equal width.
+
+    In the paper's network most of the work is in the two convolutions behind the concatenations. Here the
+    coarse features are first brought to the width of the finer ones (1×1, before upsampling) and added.
+    """
+
+    down: tuple[Block, Block, Block]
+    narrow: tuple[Conv, Conv]
+    up: tuple[Block, Block]
+    out: Conv
+
+    def __init__(self, inputs: int, outputs: int, width: int = 24, *, key: PRNGKeyArray):
+        keys = jax.random.split(key, 8)
+        self.down = (
+            Block(inputs, width, key=keys[0]),
+            Block(width, 2 * width, key=keys[1]),
+            Block(2 * width, 4 * width, key=keys[2]),
+        )
+        self.narrow = (
+            Conv(4 * width, 2 * width, size=1, key=keys[3]),
+            Conv(2 * width, width, size=1, key=keys[4]),
+        )
+        self.up = (Block(2 * width, 2 * width, key=keys[5]), Block(width, width, key=keys[6]))
+        self.out = Conv(width, outputs, key=keys[7])
+
+    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
+        """Applies the network to one example."""
+        fine = self.down[0](x)
+        middle = self.down[1](max_pool(fine))
+        coarse = self.down[2](max_pool(middle))
+        middle = self.up[0](upsample(self.narrow[0](coarse)) + middle)
+        fine = self.up[1](upsample(self.narrow[1](middle)) + fine)
+        return self.out(fine)
