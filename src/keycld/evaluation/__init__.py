@@ -15,6 +15,7 @@ from keycld.evaluation.metrics import relative_errors as relative_errors
 from keycld.evaluation.metrics import statistics as statistics
 from keycld.evaluation.metrics import valid_prediction_time as valid_prediction_time
 from keycld.evaluation.predicting import Predicted as Predicted
+from keycld.evaluation.predicting import predict as predict
 from keycld.evaluation.predicting import predict_batch as predict_batch
 from keycld.evaluation.prediction_file import predict_file as predict_file
 from keycld.evaluation.probe import Probe as Probe
@@ -48,6 +49,7 @@ __all__ = [
     "invert_landmarks",
     "load_evaluation",
     "mean_image",
+    "predict",
     "predict_batch",
     "predict_file",
     "protocol_named",

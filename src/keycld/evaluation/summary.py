@@ -7,7 +7,7 @@ from keycld.evaluation.published import PAPER_VPT
 
 
 def summary(scores: Mapping[str, Any]) -> str:
-    """The scores of one protocol as a small table: VPT at each threshold and MSE, for the model and every baseline.
+    """The scores of one protocol as a small table: VPT and MSE of the model and of every baseline.
 
     A score means little alone: a system that hardly moves is easy for a frozen frame too.
     """

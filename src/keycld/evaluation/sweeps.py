@@ -31,10 +31,11 @@ def evaluate_sweeps(model: AbstractModel, data: "DataSet") -> Evaluation:
     something, its level does not.
 
     Returns:
-        An `Evaluation`, empty for models without keypoints or energies. Its scores hold the range of V over each
-        path. Its arrays: `names`, `vary` (names of the states that change, joined by commas) and `units` (theirs,
-        likewise), one a path; and for each NAME of length n: `NAME/values [n, …]` of those states, `NAME/shape`,
-        `NAME/potential [n]`, `NAME/keypoints [n, K, 2]`, `NAME/image [n, H, W, 3]` and `NAME/heat_maps [n, K, …]`.
+        An `Evaluation`, empty for models without keypoints or energies. Its scores hold the range of V over
+        each path. Its arrays: `names`, `vary` (names of the states that change, joined by commas) and
+        `units` (theirs, likewise), one a path; and for each NAME of length n: `NAME/values [n, …]` of those
+        states, `NAME/shape`, `NAME/potential [n]`, `NAME/keypoints [n, K, 2]`, `NAME/image [n, H, W, 3]`
+        and `NAME/heat_maps [n, K, …]`.
 
     Raises:
         KeycldError: the data set has no pictures along paths.

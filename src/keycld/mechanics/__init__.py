@@ -1,5 +1,6 @@
 """The physics, without images: constraints, Lagrangian and Hamiltonian mechanics, integrators, energies."""
 
+from keycld.mechanics.adaptive import AdaptiveDynamics as AdaptiveDynamics
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
 from keycld.mechanics.constraints import AbstractRelation as AbstractRelation
@@ -51,6 +52,7 @@ __all__ = [
     "AbstractIntegrator",
     "AbstractLaw",
     "AbstractRelation",
+    "AdaptiveDynamics",
     "AffineMLPInputMatrix",
     "AffineMLPPotential",
     "ConstrainedLagrangian",

@@ -1,12 +1,13 @@
 """Adaptive roll-outs by Diffrax, as in the paper's evaluation (appendix A.9)."""
 
 import diffrax
+import equinox as eqx
 import jax
 from jaxtyping import Array, Float
 
 from keycld.mechanics.dynamics import frame_inputs, stack_first
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
-from keycld.mechanics.state import Motion, Scalar, State
+from keycld.mechanics.state import AbstractDynamics, Motion, Scalar, State
 
 
 def adaptive_rollout(
@@ -61,3 +62,27 @@ def adaptive_rollout(
 
     _, motions = jax.lax.scan(frame, state.coordinates, frame_inputs(u, dt, steps))
     return stack_first(state.coordinates, motions)
+
+
+class AdaptiveDynamics(AbstractDynamics):
+    """Constrained point masses, integrated by `adaptive_rollout`.
+
+    Attributes:
+        law: the constrained Lagrangian.
+        rtol, atol: tolerances of a step.
+    """
+
+    law: ConstrainedLagrangian
+    rtol: float = eqx.field(static=True, default=1e-6)
+    atol: float = eqx.field(static=True, default=1e-6)
+
+    def step(self, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
+        """The state one frame later (earlier for negative dt)."""
+        motion = self.rollout(state, u, dt, 1)
+        return State(jax.tree.map(lambda y: y[-1], motion), state.parameters)
+
+    def rollout(
+        self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int
+    ) -> Motion:
+        """The motion at `steps` + 1 frames; see `adaptive_rollout`."""
+        return adaptive_rollout(self.law, state, u, dt, steps, self.rtol, self.atol)

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keycld.mechanics import MechanicalDynamics, Motion, State, joining_velocity
+from keycld.mechanics import AdaptiveDynamics, MechanicalDynamics, Motion, State, joining_velocity
 from keycld.models.base import AbstractModel
 from keycld.vision import KeypointEstimator, Observation, Renderer
 
@@ -26,7 +26,7 @@ class KeyCLD(AbstractModel):
     """
 
     estimator: KeypointEstimator
-    dynamics: MechanicalDynamics
+    dynamics: MechanicalDynamics | AdaptiveDynamics
     renderer: Renderer
     joined: bool = eqx.field(static=True, default=True)
 

@@ -1,10 +1,9 @@
 """What every system offers: how it moves, what it looks like, and which keypoints suit it."""
 
 import abc
-from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -24,13 +23,13 @@ class Conditions:
     **Fields:**
 
     - `control`: which inputs act. `"full"`: all; `"under"`: all but the second; `"none"`: no input.
-    - `start`: `"rest"`: dm_control's reset of its swing-up tasks; `"random"`: the journal version's (all positions
-      and velocities random); `"released"`: any position, exactly zero velocity.
+    - `start`: `"rest"`: dm_control's reset of its swing-up tasks; `"random"`: the journal version's (all
+      positions and velocities random); `"released"`: any position, exactly zero velocity.
     - `input_limit`: u is drawn uniformly in ± this.
     - `clip`: whether the motors limit u to the system's `input_range`.
 
-    **Good values:** the defaults are those of arXiv v1 (2022); the journal version (2024) has `start="random"`,
-    `input_limit=2`, `clip=False`.
+    **Good values:** the defaults are those of arXiv v1 (2022); the journal version (2024) has
+    `start="random"`, `input_limit=2`, `clip=False`.
     """
 
     control: Control = "full"
@@ -42,8 +41,8 @@ class Conditions:
 class Run(NamedTuple):
     """One simulated recording of T frames, without its pictures.
 
-    **Fields:** `time [T]` in seconds, `input [l]` (constant in a run), `state [T, d]`, `state_derivative [T, d]` in
-    the units of the system, all float64.
+    **Fields:** `time [T]` in seconds, `input [l]` (constant in a run), `state [T, d]`, `state_derivative
+    [T, d]` in the units of the system, all float64.
     """
 
     time: np.ndarray
@@ -55,8 +54,8 @@ class Run(NamedTuple):
 class SweepPath(NamedTuple):
     """States along a path or over a grid of the configuration space, at rest.
 
-    **Fields:** `name`; `state [n, d]`; `shape`, `(n,)` for a path and `(rows, columns)` for a grid, row by row;
-    `vary`, the names of the states that change (one an axis of `shape`).
+    **Fields:** `name`; `state [n, d]`; `shape`, `(n,)` for a path and `(rows, columns)` for a grid, row by
+    row; `vary`, the names of the states that change (one an axis of `shape`).
     """
 
     name: str

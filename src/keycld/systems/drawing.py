@@ -1,26 +1,48 @@
 """Pictures of states, from any process."""
 
-from collections.abc import Sequence
+import atexit
+from typing import NamedTuple
 
 import numpy as np
 
-from keycld.systems.base import AbstractSystem
-from keycld.systems.processes import run_in_processes
+from keycld.systems.base import AbstractSystem, Drawer
+from keycld.systems.processes import Task, run_in_processes
+
+_OPEN: dict[type[AbstractSystem], Drawer] = {}
 
 
-def draw_here(system: AbstractSystem, states: np.ndarray) -> tuple[np.ndarray, str]:
-    """Pictures uint8 `[n, size, size, 3]` of `states [n, d]`, and what drew them, in this very process."""
-    with system.drawer() as drawer:
-        return np.stack([drawer.draw(state) for state in states]), drawer.description
+class Pictures(NamedTuple):
+    """Pictures `image` uint8 `[n, size, size, 3]`, and the `renderer` that drew them."""
+
+    image: np.ndarray
+    renderer: str
 
 
-def draw(system: AbstractSystem, states: np.ndarray) -> np.ndarray:
-    """Pictures uint8 `[n, size, size, 3]` of `states [n, d]`, drawn in a process of its own.
+def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
+    """Pictures of `states [n, d]`; for worker processes, which keep the renderer and must draw one system only.
+
+    Making a renderer takes a third of a second, and those of several models in one process gave corrupted
+    pictures.
+    """
+    if type(system) not in _OPEN:
+        if _OPEN:
+            raise RuntimeError(
+                f"this process draws {next(iter(_OPEN)).name} and cannot draw {system.name} as well"
+            )
+        drawer = system.drawer()
+        _OPEN[type(system)] = drawer.__enter__()
+        atexit.register(drawer.__exit__, None, None, None)
+    drawer = _OPEN[type(system)]
+    return Pictures(np.stack([drawer.draw(state) for state in states]), drawer.description)
+
+
+def draw(system: AbstractSystem, states: np.ndarray) -> Pictures:
+    """Pictures of `states [n, d]`, drawn in a process of its own.
 
     **Raises:** `KeycldError` where no GL context can be made.
     """
-    [(_, (frames, _))] = run_in_processes(draw_here, [(system, states)])
-    return frames
+    [(_, pictures)] = run_in_processes([Task(draw_in_worker, (system, states))])
+    return pictures
 
 
 def renderer_name() -> str:
@@ -30,6 +52,4 @@ def renderer_name() -> str:
     """
     from keycld.systems.registry import get
 
-    system = get("pendulum")
-    [(_, (_, description))] = run_in_processes(draw_here, [(system, np.zeros((1, len(system.state_names))))])
-    return description
+    return draw(get("pendulum"), np.zeros((1, 2))).renderer

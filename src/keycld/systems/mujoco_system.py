@@ -2,6 +2,8 @@
 
 import abc
 import math
+import os
+import sys
 from contextlib import AbstractContextManager
 from functools import lru_cache
 from importlib import resources
@@ -18,7 +20,9 @@ _ZERO_INPUT_PROBABILITY = 0.2
 
 
 def import_mujoco() -> Any:
-    """The `mujoco` module, or a sentence that says how to get it."""
+    """The `mujoco` module, set to draw without a screen on Linux, or a sentence that says how to get it."""
+    if sys.platform.startswith("linux"):
+        os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo reads this once, when it is imported
     try:
         import mujoco
     except ImportError as error:
@@ -26,11 +30,15 @@ def import_mujoco() -> Any:
     return mujoco
 
 
-@lru_cache(maxsize=8)
-def load_model(name: str, clip: bool) -> Any:
-    """The `MjModel` of `models/NAME.xml`, its motors limited or not."""
+def load_model(name: str) -> Any:
+    """A new `MjModel` of `models/NAME.xml`."""
     path = resources.files("keycld.systems").joinpath("models", f"{name}.xml")
-    model = import_mujoco().MjModel.from_xml_path(str(path))
+    return import_mujoco().MjModel.from_xml_path(str(path))
+
+
+@lru_cache(maxsize=8)
+def _simulated_model(name: str, clip: bool) -> Any:
+    model = load_model(name)
     model.actuator_ctrllimited[:] = clip
     return model
 
@@ -62,7 +70,8 @@ class AbstractMujocoSystem(AbstractSystem):
     def to_image_plane(self, points: np.ndarray) -> np.ndarray:
         """Image-plane units of world points `[..., 2]` = (x, z) in the plane y = 0, metres."""
         half_height = self.camera_distance * math.tan(_HALF_VIEW)
-        # The edges of the picture are at ±1 of the view, the centres of its outermost pixels half a pixel inside.
+        # The edges of the picture are at ±1 of the view, the centres of its outermost pixels half a pixel
+        # inside.
         scale = self.size / (self.size - 1) / half_height
         return (points - np.array([0.0, self.camera_height])) * scale
 
@@ -98,7 +107,7 @@ class AbstractMujocoSystem(AbstractSystem):
         One physics step a frame, as in the paper; the first frame is the state **after** the first step.
         """
         mujoco = import_mujoco()
-        model = load_model(self.name, clip)
+        model = _simulated_model(self.name, clip)
         data, probe = mujoco.MjData(model), mujoco.MjData(model)
         n = model.nq
         data.qpos[:], data.qvel[:] = state[:n], state[n:]
@@ -113,6 +122,19 @@ class AbstractMujocoSystem(AbstractSystem):
             mujoco.mj_forward(model, probe)
             derivatives[k] = np.concatenate([probe.qvel, probe.qacc])
         return Run(time, np.array(u, dtype=float), states, derivatives)
+
+    def energies(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Kinetic and potential energy `[T]` in joules of states `[T, d]`; the potential's zero is MuJoCo's."""
+        mujoco = import_mujoco()
+        model = _simulated_model(self.name, True)
+        data = mujoco.MjData(model)
+        n = model.nq
+        kinetic, potential = np.empty(len(state)), np.empty(len(state))
+        for k in range(len(state)):
+            data.qpos[:], data.qvel[:] = state[k, :n], state[k, n:]
+            mujoco.mj_forward(model, data)
+            potential[k], kinetic[k] = data.energy
+        return kinetic, potential
 
     def drawer(self) -> AbstractContextManager[Drawer]:
         """MuJoCo's own renderer."""

@@ -1,7 +1,8 @@
 """Fresh worker processes for drawing: at most four, each with a time-out and one retry.
 
-Workers are new interpreters, never forks (JAX and GL do not survive one), and they do not import the caller's main
-script, so plain scripts and notebooks may call this without a guard. A worker ends with its parent, however that ends.
+Workers are new interpreters, never forks (JAX and GL do not survive one), and they do not import the
+caller's main script, so plain scripts and notebooks may call this without a guard. A worker ends with its
+parent, however that ends.
 """
 
 import os
@@ -12,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import Any
+from typing import Any, NamedTuple
 
 from keycld._errors import KeycldError
 
@@ -21,31 +22,44 @@ MAX_WORKERS = 4
 TIME_OUT = 300.0
 
 
+class Task(NamedTuple):
+    """A call for a worker: an importable function and its arguments, both pickled."""
+
+    function: Callable[..., Any]
+    arguments: tuple
+
+
 class _Lost(Exception):
     """A worker died or did not answer in time."""
 
 
 class _Worker:
-    """One interpreter that answers one task at a time."""
+    """One interpreter that does one task at a time."""
 
     def __init__(self):
-        environment = dict(os.environ)
-        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+        environment = {
+            **os.environ,
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            # The workers fill the cores: threads inside each software renderer would only get in their way.
+            "LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", "0"),
+        }
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "keycld.systems.worker"],
+            [sys.executable, "-m", "keycld.systems.worker", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=environment,
         )
-        assert self._process.stdin is not None and self._process.stdout is not None
-        self._tasks = Connection(os.dup(self._process.stdin.fileno()), readable=False)
-        self._answers = Connection(os.dup(self._process.stdout.fileno()), writable=False)
-        self._process.stdin.close()
-        self._process.stdout.close()
+        # Connection frames whole pickled objects and can wait with a time-out, which plain pipes cannot.
+        stdin, stdout = self._process.stdin, self._process.stdout
+        self._tasks = Connection(os.dup(stdin.fileno()), readable=False)  # pyright: ignore
+        self._answers = Connection(os.dup(stdout.fileno()), writable=False)  # pyright: ignore
+        stdin.close()  # pyright: ignore
+        stdout.close()  # pyright: ignore
 
-    def run(self, function: Callable[..., Any], arguments: tuple, time_out: float) -> Any:
+    def run(self, task: Task, time_out: float) -> Any:
+        """The task's result; raises what the task raised, or `_Lost`."""
         try:
-            self._tasks.send((function, arguments))
+            self._tasks.send(tuple(task))
             if not self._answers.poll(time_out):
                 raise _Lost(f"no answer in {time_out:.0f} s")
             answer = self._answers.recv()
@@ -56,11 +70,46 @@ class _Worker:
         return answer
 
     def close(self) -> None:
+        """End the process."""
         for connection in (self._tasks, self._answers):
             with suppress(OSError):
                 connection.close()
         self._process.kill()
         self._process.wait()
+
+
+class _Crew:
+    """One worker for each thread of the pool, made when it is first needed."""
+
+    def __init__(self, time_out: float):
+        self._time_out = time_out
+        self._workers: dict[int, _Worker] = {}
+
+    def run(self, task: Task) -> Any:
+        try:
+            return self._attempt(task)
+        except _Lost:
+            pass
+        try:
+            return self._attempt(task)
+        except _Lost as error:
+            raise KeycldError(
+                f"a renderer process failed twice ({error}): try fewer workers, or another GL driver (MUJOCO_GL)."
+            ) from error
+
+    def _attempt(self, task: Task) -> Any:
+        thread = threading.get_ident()
+        if thread not in self._workers:
+            self._workers[thread] = _Worker()
+        try:
+            return self._workers[thread].run(task, self._time_out)
+        except _Lost:
+            self._workers.pop(thread).close()
+            raise
+
+    def close(self) -> None:
+        for worker in list(self._workers.values()):
+            worker.close()
 
 
 def cores() -> int:
@@ -69,52 +118,25 @@ def cores() -> int:
 
 
 def run_in_processes(
-    function: Callable[..., Any],
-    tasks: Sequence[tuple],
-    *,
-    workers: int | None = None,
-    time_out: float = TIME_OUT,
+    tasks: Sequence[Task], *, workers: int | None = None, time_out: float = TIME_OUT
 ) -> Iterator[tuple[int, Any]]:
-    """Yield (index, `function(*tasks[index])`) as they finish, in any order.
+    """Yield (index, result) of each task when it is done, in any order.
 
-    **Arguments:** `function`: importable by name; `workers`: processes (default: one a core), at most four;
-    `time_out`: seconds for one task. A task whose worker dies or hangs is tried once more in a fresh one.
+    **Arguments:** `workers`: processes (default: one a core), at most four; `time_out`: seconds for one
+    task. A task whose worker dies or hangs is tried once more in a fresh one.
 
-    **Raises:** what the function raises; `KeycldError` where the second try is lost too.
+    **Raises:** what a task raises; `KeycldError` where its second try is lost too, or `workers` is below 1.
     """
     if workers is not None and workers < 1:
         raise KeycldError(f"workers must be at least 1, not {workers}.")
     count = max(1, min(MAX_WORKERS, workers or cores(), len(tasks)))
-    local, alive, lock = threading.local(), [], threading.Lock()
-
-    def worker() -> _Worker:
-        if getattr(local, "worker", None) is None:
-            local.worker = _Worker()
-            with lock:
-                alive.append(local.worker)
-        return local.worker
-
-    def attempt(index: int) -> tuple[int, Any]:
-        for last in (False, True):
-            try:
-                return index, worker().run(function, tasks[index], time_out)
-            except _Lost as error:
-                local.worker.close()
-                local.worker = None
-                if last:
-                    raise KeycldError(
-                        f"a renderer process failed twice ({error}): try fewer workers, or another GL driver through "
-                        "MUJOCO_GL."
-                    ) from error
-        raise AssertionError("unreachable")
-
+    crew = _Crew(time_out)
     with ThreadPoolExecutor(count) as pool:
-        futures = [pool.submit(attempt, index) for index in range(len(tasks))]
+        futures = {pool.submit(crew.run, task): index for index, task in enumerate(tasks)}
         try:
             for future in as_completed(futures):
-                yield future.result()
+                yield futures[future], future.result()
         finally:
             for future in futures:
                 future.cancel()
-            for each in alive:
-                each.close()
+            crew.close()

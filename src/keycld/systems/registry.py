@@ -14,8 +14,9 @@ S = TypeVar("S", bound=type[AbstractSystem])
 def register(system: S) -> S:
     """Class decorator that makes a system known by its `name`.
 
-    A file in `keycld/systems/catalogue/` with one decorated class is all that a new system needs. Your own code may
-    use the decorator too, in a module that can be imported (the renderer processes import it again).
+    A file in `keycld/systems/catalogue/` with one decorated class is all that a new system needs. Your own
+    code may use the decorator too, in a module that can be imported (the renderer processes import it
+    again).
     """
     _SYSTEMS[system.name] = system()
     return system

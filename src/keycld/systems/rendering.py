@@ -1,7 +1,5 @@
 """Headless drawing of MuJoCo models, and what to do where it fails."""
 
-import os
-import sys
 from typing import Any, Self
 
 import numpy as np
@@ -9,9 +7,10 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.systems.mujoco_system import import_mujoco, load_model
 
-# dm_control draws shadows from a map of 2048 x 2048. With 1024 at most 2 of 10,000 colour values change by more
-# than two levels, and a software renderer is 1.5 times faster.
-_SHADOW_MAP = 1024
+# dm_control draws shadows from a map of 2048 x 2048, which takes two thirds of a software renderer's time.
+# With 512 fewer than 5 of 10,000 pixels change by more than two levels (docs/systems.md has the
+# measurements).
+_SHADOW_MAP = 512
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software rasterizer")
 
 NO_GL = (
@@ -19,12 +18,6 @@ NO_GL = (
     "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; set MUJOCO_GL to choose "
     "another back end."
 )
-
-
-def use_headless_gl() -> None:
-    """Choose EGL on Linux where the user has not chosen; call before `mujoco` is imported."""
-    if sys.platform.startswith("linux"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
 
 
 def is_software(description: str) -> bool:
@@ -43,9 +36,8 @@ class MujocoDrawer:
         self.name, self.size = name, size
 
     def __enter__(self) -> Self:
-        use_headless_gl()
         mujoco = import_mujoco()
-        self._model = load_model(self.name, True)
+        self._model = load_model(self.name)
         self._model.vis.quality.shadowsize = _SHADOW_MAP
         # A buffer no larger than the picture: the default of 640 x 480 is cleared for nothing in every frame.
         self._model.vis.global_.offwidth = self._model.vis.global_.offheight = self.size

@@ -16,7 +16,8 @@ def path(
 ) -> SweepPath:
     """64 states at rest along one coordinate; all that is not named is zero.
 
-    **Arguments:** `vary`: one coordinate's name with its first and last value (both taken); `fixed`: values of others.
+    **Arguments:** `vary`: one coordinate's name with its first and last value (both taken); `fixed`: values
+    of others.
     """
     (varied, (low, high)), *_ = vary.items()
     state = np.zeros((PATH_POINTS, len(state_names)))

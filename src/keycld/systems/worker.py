@@ -1,17 +1,24 @@
-"""The main program of a worker process: reads tasks from stdin, answers on stdout, ends with its parent."""
+"""The main program of a worker process: takes tasks from stdin, answers on stdout, ends with its parent."""
 
 import os
 import sys
+import threading
+import time
 import traceback
 from multiprocessing.connection import Connection
 
 from keycld._errors import KeycldError
-from keycld.systems.rendering import use_headless_gl
+
+
+def _end_with(parent: int) -> None:
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(1)
 
 
 def main() -> None:
-    """Answer tasks until the parent is gone."""
-    use_headless_gl()
+    """Do tasks until the parent, whose process id is the first argument, is gone."""
+    threading.Thread(target=_end_with, args=(int(sys.argv[1]),), daemon=True).start()
     tasks = Connection(os.dup(0), writable=False)
     answers = Connection(os.dup(1), readable=False)
     os.dup2(2, 1)  # what a library prints must not get between the answers
@@ -33,4 +40,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

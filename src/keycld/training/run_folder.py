@@ -63,6 +63,8 @@ def open_run(folder: Path, config: RunConfig) -> None:
         return
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        if config.constraints is not None:
+            write_text(folder / "constraints.toml", config.constraints)
         write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
         write_text(folder / "environment.json", json.dumps(environment(), indent=1))
     except OSError as error:

@@ -13,8 +13,8 @@ import numpy as np
 
 from keycld._errors import KeycldError, unknown
 from keycld.data import DataSet, Resident, open_data
-from keycld.evaluation import epsilon, frame_errors, predict_batch, valid_prediction_time
-from keycld.mechanics import AbstractConstraint, Constraints, constraints_from_toml, constraints_to_toml
+from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
+from keycld.mechanics import AbstractConstraint, Constraints, as_constraint, dump_constraints, load_constraints
 from keycld.models import AbstractModel
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position
 from keycld.training.loop import train_stages
@@ -65,7 +65,7 @@ def train(
         preset=preset,
         settings=recipe.settings(),
         seed=seed,
-        constraints=constraints_to_toml(constraint) if isinstance(constraint, Constraints) else None,
+        constraints=dump_constraints(constraint) if isinstance(constraint, Constraints) else None,
         scene={k: v for k, v in dataclasses.asdict(scene).items() if k != "constraint"},
         dt=dataset.dt,
         steps_per_dispatch=steps_per_dispatch,
@@ -109,7 +109,7 @@ def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[Abstr
     if checkpoint is None:
         raise KeycldError(f"{folder} has no checkpoint yet; wait for the first one or train it again.")
     if config.constraints is not None:
-        constraint = constraints_from_toml(config.constraints)
+        constraint = load_constraints(folder / "constraints.toml")
     elif constraint is None:
         raise KeycldError(f"{folder} was trained with a Python function as constraint; pass that function again.")
     scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
@@ -162,23 +162,21 @@ def make_scene(images: Any, keypoints: tuple[str, ...], constraint: AbstractCons
     )
 
 
-def validation_score(dataset: DataSet, batch: int = 10) -> Callable[[AbstractModel], dict[str, float]]:
-    """A function that gives a model's VPT on the validation trajectories, for the progress and for choosing.
+def validation_score(dataset: DataSet) -> Callable[[AbstractModel], dict[str, float]]:
+    """A function that gives a model's VPT on the validation trajectories, to watch the training.
 
     The threshold is the mean validation image's error, as in the paper; test data is never touched.
     """
     data = dataset.validation()
-    threshold = epsilon(data.image)
+    assert data.image is not None
+    image, threshold = data.image, epsilon(data.image)
 
     def score(model: AbstractModel) -> dict[str, float]:
-        length = data.image.shape[1]
-        errors = []
-        for start in range(0, len(data.image), batch):
-            part = slice(start, start + batch)
-            given = data.image[part, : model.context].astype(np.float32) / 255
-            drawn = predict_batch(model, given, data.dt, data.input[part], length).frames
-            errors.append(frame_errors(data.image[part].astype(np.float32) / 255, np.asarray(drawn)))
-        vpt = valid_prediction_time(np.concatenate(errors), threshold) / length
+        length = image.shape[1]
+        given = image[:, : model.context]
+        parts = predict(model, given, dataset.dt, data.input, length)
+        errors = np.concatenate([frame_errors(image[part], found.frames) for part, found in parts])
+        vpt = valid_prediction_time(errors, threshold) / length
         return {"validation_vpt": float(np.mean(vpt)), "validation_vpt_median": float(np.median(vpt))}
 
     return score

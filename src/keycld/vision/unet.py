@@ -69,7 +69,9 @@ class LightUNet(AbstractUNet):
             Conv(2 * width, width, size=1, key=keys[4]),
         )
         self.up = (Block(2 * width, 2 * width, key=keys[5]), Block(width, width, key=keys[6]))
-        self.out = Conv(width, outputs, key=keys[7])
+        # A quiet start: flat heat maps, and a renderer that draws its background.
+        out = Conv(width, outputs, key=keys[7])
+        self.out = eqx.tree_at(lambda conv: conv.kernel, out, 0.1 * out.kernel)
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
         """Applies the network to one example."""

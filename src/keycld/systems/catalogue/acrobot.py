@@ -20,9 +20,9 @@ SHOULDER_HEIGHT = 2.1
 class Acrobot(AbstractMujocoSystem):
     """A double pendulum of two uniform capsules; torques 2 u₁ at the shoulder and 2 u₂ at the elbow.
 
-    State: shoulder angle (0 upright), elbow angle relative to the upper arm, their velocities. Two keypoints: the
-    elbow at a fixed distance from the shoulder at the image centre, the tip at one from the elbow. Chaotic at high
-    energy. Source: KeyCLD, appendix A.6 and Fig. 7.
+    State: shoulder angle (0 upright), elbow angle relative to the upper arm, their velocities. Two
+    keypoints: the elbow at a fixed distance from the shoulder at the image centre, the tip at one from the
+    elbow. Chaotic at high energy. Source: KeyCLD, appendix A.6 and Fig. 7.
     """
 
     name = "acrobot"
@@ -40,13 +40,16 @@ class Acrobot(AbstractMujocoSystem):
         from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 
         return Constraints(
-            keypoints=self.keypoints, items=(DistanceToPoint("elbow", (0.0, 0.0)), FixedDistance("elbow", "tip"))
+            keypoints=self.keypoints,
+            items=(DistanceToPoint("elbow", (0.0, 0.0)), FixedDistance("elbow", "tip")),
         )
 
     def landmarks(self, state: np.ndarray) -> np.ndarray:
         """The elbow's axis and the end of the lower arm's axis."""
         shoulder, lower = state[..., 0], state[..., 0] + state[..., 1]
-        elbow = LENGTH * np.stack([np.sin(shoulder), np.cos(shoulder)], axis=-1) + np.array([0.0, SHOULDER_HEIGHT])
+        elbow = LENGTH * np.stack([np.sin(shoulder), np.cos(shoulder)], axis=-1) + np.array(
+            [0.0, SHOULDER_HEIGHT]
+        )
         tip = elbow + LENGTH * np.stack([np.sin(lower), np.cos(lower)], axis=-1)
         return self.to_image_plane(np.stack([elbow, tip], axis=-2))
 

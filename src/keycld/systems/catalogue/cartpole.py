@@ -6,7 +6,7 @@ import numpy as np
 
 from keycld.systems import sweeping
 from keycld.systems.base import SweepPath
-from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
+from keycld.systems.mujoco_system import AbstractMujocoSystem
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
@@ -22,8 +22,8 @@ SWEEP = (-2.0, 2.0)
 class Cartpole(AbstractMujocoSystem):
     """A cart pushed by 4 u₁ newtons and a pole (uniform, from the cart's centre) turned by u₂ newton metres.
 
-    State: slider s, hinge θ (0 upright), their velocities. Two keypoints: the cart on a horizontal line, the pole's
-    tip at a fixed distance from it. Source: KeyCLD, appendix A.6 and Fig. 7.
+    State: slider s, hinge θ (0 upright), their velocities. Two keypoints: the cart on a horizontal line,
+    the pole's tip at a fixed distance from it. Source: KeyCLD, appendix A.6 and Fig. 7.
     """
 
     name = "cartpole"
@@ -41,7 +41,8 @@ class Cartpole(AbstractMujocoSystem):
         from keycld.mechanics import Constraints, FixedDistance, OnLine
 
         return Constraints(
-            keypoints=self.keypoints, items=(OnLine("cart", direction=(1.0, 0.0)), FixedDistance("cart", "tip"))
+            keypoints=self.keypoints,
+            items=(OnLine("cart", direction=(1.0, 0.0)), FixedDistance("cart", "tip")),
         )
 
     def landmarks(self, state: np.ndarray) -> np.ndarray:

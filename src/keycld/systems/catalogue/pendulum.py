@@ -19,8 +19,8 @@ LENGTH = 0.5
 class Pendulum(AbstractMujocoSystem):
     """m l² θ̈ = m g l sin θ + 2 u, with m = 1 kg, l = 0.5 m and θ = 0 upright (positive to the right).
 
-    The paper's hardest of the three: the thinnest pole and speeds up to 27.6 rad/s. One keypoint, the bob, at a
-    fixed distance from the pivot at the image centre. Source: KeyCLD, appendix A.6 and Fig. 7.
+    The paper's hardest of the three: the thinnest pole and speeds up to 27.6 rad/s. One keypoint, the bob,
+    at a fixed distance from the pivot at the image centre. Source: KeyCLD, appendix A.6 and Fig. 7.
     """
 
     name = "pendulum"

@@ -1,0 +1,19 @@
+"""Whole recipes by name."""
+
+from keycld._errors import unknown
+from keycld.training.presets.base import AbstractRecipe as AbstractRecipe
+from keycld.training.presets.base import Scene as Scene
+from keycld.training.presets.fast import FastRecipe as FastRecipe
+from keycld.training.presets.paper import PaperRecipe as PaperRecipe
+
+PRESETS: dict[str, type[AbstractRecipe]] = {"fast": FastRecipe, "paper": PaperRecipe}
+
+
+def recipe_class(name: str) -> type[AbstractRecipe]:
+    """The recipe of a preset, whose fields are its settings."""
+    if name not in PRESETS:
+        raise unknown("preset", name, PRESETS)
+    return PRESETS[name]
+
+
+__all__ = ["PRESETS", "AbstractRecipe", "FastRecipe", "PaperRecipe", "Scene", "recipe_class"]

@@ -1,0 +1,35 @@
+# Each target works from a clean clone: it sets up what it needs first.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: setup demo test lint bench clean
+
+setup: .venv/ready
+
+# Pinned packages in .venv, and the system packages that headless rendering needs.
+.venv/ready: pyproject.toml requirements.lock scripts/system_packages.sh
+	sh scripts/system_packages.sh
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "keycld needs Python 3.11 or newer: make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	touch $@
+
+# Data, training, evaluation and report for the pendulum; about a quarter of an hour on two cores.
+demo: setup
+	$(BIN)/keycld demo
+
+test: setup
+	sh scripts/system_packages.sh test
+	$(BIN)/python -m pytest
+
+lint: setup
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/pyright
+
+bench: setup
+	for bench in benches/*.py; do $(BIN)/python $$bench; done
+
+clean:
+	rm -rf .venv .pytest_cache .ruff_cache

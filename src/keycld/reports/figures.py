@@ -1,0 +1,199 @@
+"""The figures of a run, from stored arrays."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from keycld.drawing import (
+    INK,
+    Curve,
+    Limit,
+    curves_figure,
+    histogram_figure,
+    map_figure,
+    overlay_keypoints,
+    panels_figure,
+    strip_figure,
+)
+from keycld.evaluation import Evaluation, valid_prediction_time
+
+_NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
+
+
+def error_figure(result: Evaluation) -> Figure:
+    """MSE over time with a band from the 10th to the 90th percentile, baselines and ε (the paper's Fig. 3)."""
+    errors = _finite(result.arrays["mse"])
+    frames = np.arange(errors.shape[1])
+    curves = [
+        Curve(
+            frames, errors.mean(axis=0), "this model",
+            low=np.quantile(errors, 0.1, axis=0), high=np.quantile(errors, 0.9, axis=0),
+        )
+    ]  # fmt: skip
+    colours = (INK.three, INK.two, INK.four)
+    for colour, name in zip(colours, result.scores["baselines"], strict=False):
+        baseline = result.arrays[f"baseline_mse_{name.replace(' ', '_')}"]
+        curves.append(Curve(frames, baseline.mean(axis=0), name, colour, dashed=True))
+    limit = Limit(result.scores["epsilon"], "ε")
+    figure = curves_figure(curves, "frame", "mean squared error", limits=[limit], logarithmic=True)
+    # Given frames of a baseline may be exact; a logarithmic axis should not stretch down to them.
+    floor = 0.3 * min(float(curve.y[curve.y > 0].min()) for curve in curves[:1])
+    figure.axes[0].set_ylim(bottom=floor)
+    return figure
+
+
+def vpt_figure(result: Evaluation) -> Figure:
+    """How many trajectories stay valid for how long, with the means of the model and of each baseline."""
+    vpt = result.scores["vpt"]["1"]
+    horizon = result.scores["protocol"]["horizon"]
+    limits = [Limit(vpt["mean"], f"mean {vpt['mean']:.2f}", INK.text)]
+    best, score = max(
+        ((name, each["vpt"]["1"]["mean"]) for name, each in result.scores["baselines"].items()),
+        key=lambda item: item[1],
+    )
+    limits.append(Limit(score, f"{best} {score:.2f}", INK.quiet))
+    return histogram_figure(
+        np.array(vpt["frames"]) / horizon,
+        f"valid prediction time, fraction of {horizon} frames",
+        "trajectories",
+        limits=limits,
+    )
+
+
+def coordinate_figure(result: Evaluation) -> Figure:
+    """Error of each true position along the roll-out: median with a band from the 10th to the 90th percentile."""
+    errors = result.arrays["coordinate_error"]
+    frames = np.arange(errors.shape[1])
+    panels = []
+    for k, each in enumerate(result.scores["state"]["coordinates"]):
+        low, middle, high = np.nanquantile(errors[..., k], (0.1, 0.5, 0.9), axis=0)
+        panels.append((f"{each['name']}, {each['unit']}", [Curve(frames, middle, low=low, high=high)]))
+    size = (5.4, 3.0) if len(panels) == 1 else (3.6, 2.6)
+    return panels_figure(panels, "frame", columns=2, panel_size=size)
+
+
+def energy_figure(result: Evaluation) -> Figure:
+    """Kinetic, potential and total energy along up to three roll-outs without input."""
+    time = result.arrays["time"]
+    panels = []
+    for n in range(min(3, len(result.arrays["free_kinetic"]))):
+        kinetic, potential = result.arrays["free_kinetic"][n], result.arrays["free_potential"][n]
+        potential = potential - potential.min()
+        curves = [
+            Curve(time, kinetic, "kinetic T" if n == 0 else "", INK.two),
+            Curve(time, potential, "potential V" if n == 0 else "", INK.one),
+            Curve(time, kinetic + potential, "T + V" if n == 0 else "", INK.text),
+        ]
+        panels.append((f"recording {n + 1}", curves))
+    return panels_figure(panels, "seconds", columns=3, panel_size=(3.6, 2.5))
+
+
+def deviation_figure(result: Evaluation) -> Figure:
+    """Largest |Φ(x) − constants| along the roll-outs that are shown."""
+    deviation = np.maximum(result.arrays["deviation"], 1e-9)
+    curves = [Curve(result.arrays["time"], each, colour=INK.one) for each in deviation]
+    return curves_figure(curves, "seconds", "|Φ(x) − constant|", logarithmic=True, size=(5.4, 2.5))
+
+
+def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figure]]:
+    """V along each path with pictures above it, and over each two-dimensional grid: name, what varies, figure.
+
+    All paths share one vertical span, so that a coordinate on which V hardly depends shows as a flat line.
+    """
+    kinds = list(zip(sweeps["names"], sweeps["vary"], sweeps["units"], strict=True))
+    paths = [kind for kind in kinds if "," not in kind[1] and kind[0] != "grid"]
+    span = max((np.ptp(sweeps[f"{name}/potential"]) for name, _, _ in paths), default=1.0)
+    found = []
+    for name, vary, units in kinds:
+        potential = sweeps[f"{name}/potential"]
+        values, labels = _in_degrees(sweeps[f"{name}/values"], vary.split(","), units.split(","))
+        if "," in vary:
+            rows, columns = sweeps[f"{name}/shape"]
+            table = (potential - potential.min()).reshape(rows, columns)
+            axes = values.reshape(rows, columns, 2)
+            figure = map_figure(table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "V")
+        elif name == "grid":
+            continue  # the same path again, with fewer points
+        else:
+            figure = _path_figure(sweeps, name, values[:, 0], labels[0], span)
+        found.append((str(name), str(vary), figure))
+    return found
+
+
+def _path_figure(
+    sweeps: Mapping[str, np.ndarray], name: str, values: np.ndarray, label: str, span: float
+) -> Figure:
+    picked = np.round(np.linspace(0, len(values) - 1, 9)).astype(int)
+    keypoints = sweeps[f"{name}/keypoints"][picked]
+    pictures = overlay_keypoints(sweeps[f"{name}/image"][picked], keypoints, scale=3)
+    potential = sweeps[f"{name}/potential"]
+    middle = 0.5 * (potential.max() + potential.min())
+    curve = Curve(values, potential - middle)
+    limits = (-0.58 * span, 0.58 * span)
+    return strip_figure([curve], pictures, label, "V", y_limits=limits if span > 0 else None)
+
+
+def _in_degrees(
+    values: np.ndarray, names: Sequence[str], units: Sequence[str]
+) -> tuple[np.ndarray, list[str]]:
+    turning = np.array([unit == "rad" for unit in units])
+    shown = ["degrees" if unit == "rad" else unit for unit in units]
+    return np.where(turning, np.degrees(values), values), [
+        f"{name}, {unit}" for name, unit in zip(names, shown, strict=True)
+    ]
+
+
+def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
+    """Every loss term and score over wall-clock minutes, stage boundaries as hairlines; None without numbers."""
+    names: list[str] = []
+    for line in metrics:
+        names += [key for key, value in line.items() if _is_term(key, value) and key not in names]
+    panels = []
+    for name in names:
+        lines = [line for line in metrics if _is_term(name, line.get(name))]
+        minutes = np.array([line.get("seconds", line["step"]) for line in lines], float) / 60.0
+        panels.append((name.replace("_", " "), [Curve(minutes, np.array([line[name] for line in lines], float))]))
+    if not panels:
+        return None
+    marks, seen = [], None
+    for line in metrics:
+        if line.get("stage") != seen:
+            seen = line.get("stage")
+            marks.append((float(line.get("seconds", line["step"])) / 60.0, str(seen)))
+    figure = panels_figure(panels, "minutes", columns=3, marks=_apart(marks))
+    for axes, (name, curves) in zip(figure.axes, panels, strict=False):
+        y = curves[0].y
+        if "vpt" in name:
+            axes.set_ylim(0.0, 1.05)
+        elif np.all(y > 0) and y.max() > 5.0 * y.min():
+            axes.set_yscale("log")
+    return figure
+
+
+def _apart(marks: list[tuple[float, str]]) -> list[tuple[float, str]]:
+    """The marks with words dropped where they would run into the one before."""
+    if not marks:
+        return []
+    least = 0.16 * max(x for x, _ in marks)
+    kept, last = [], -np.inf
+    for x, word in marks:
+        kept.append((x, word if x - last >= least else ""))
+        last = x if x - last >= least else last
+    return kept
+
+
+def _is_term(key: str, value: Any) -> bool:
+    return key not in _NOT_TERMS and isinstance(value, int | float) and bool(np.isfinite(value))
+
+
+def _finite(errors: np.ndarray) -> np.ndarray:
+    """Errors to draw: a diverged prediction stands at the largest finite error."""
+    top = float(np.max(errors[np.isfinite(errors)], initial=1.0))
+    return np.nan_to_num(errors, nan=top, posinf=top)
+
+
+def times_valid(result: Evaluation) -> np.ndarray:
+    """VPT of each trajectory in frames."""
+    return valid_prediction_time(result.arrays["mse"], result.scores["epsilon"])

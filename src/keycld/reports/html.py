@@ -1,0 +1,144 @@
+"""The few pieces of HTML that the page is made of. Every function returns text; what it is given is escaped."""
+
+import base64
+import html
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import imageio.v3
+import numpy as np
+from jaxtyping import UInt8
+from matplotlib.figure import Figure
+
+from keycld.drawing import INK, figure_svg
+
+_TYPES = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
+
+
+def text(value: Any) -> str:
+    """A value as text that HTML shows literally."""
+    return html.escape(str(value))
+
+
+def data_uri(path: Path) -> str:
+    """A file's contents as an address, so that the page needs no other file."""
+    return f"data:{_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
+
+
+def image(frame: UInt8[np.ndarray, "H W 3"], description: str, kind: str = "pixels") -> str:
+    """A picture. `kind="pixels"` keeps its pixels square when the page enlarges it."""
+    png = imageio.v3.imwrite("<bytes>", frame, extension=".png")
+    address = f"data:image/png;base64,{base64.b64encode(png).decode()}"
+    height, width, _ = frame.shape
+    return f'<img class="{kind}" src="{address}" alt="{text(description)}" width="{width}" height="{height}">'
+
+
+def movie(path: Path, still: UInt8[np.ndarray, "H W 3"], fallback: Path | None, description: str) -> str:
+    """A silent movie that plays for ever, with a still as its poster.
+
+    Where the browser cannot play H.264, `fallback` (a GIF) takes its place, or else the poster stays.
+    """
+    png = imageio.v3.imwrite("<bytes>", still, extension=".png")
+    poster = f"data:image/png;base64,{base64.b64encode(png).decode()}"
+    height, width, _ = still.shape
+    video = (
+        f'<video autoplay loop muted playsinline width="{width}" height="{height}" poster="{poster}" '
+        f'aria-label="{text(description)}" title="click to stop or go on">'
+        f'<source src="{data_uri(path)}" type="video/mp4"></video>'
+    )
+    if fallback is None:
+        return video
+    return video + f'<img class="instead" hidden src="{data_uri(fallback)}" alt="{text(description)}">'
+
+
+def chart(figure: Figure, name: str) -> str:
+    """A matplotlib figure as part of the page: its colours follow the page's theme, its words the page's type."""
+    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", figure_svg(figure, name), flags=re.S)
+    for role in ("text", "quiet", "line", "one", "two", "three", "four", "limit"):
+        svg = svg.replace(getattr(INK, role), f"var(--{role})")
+    # `font: 9px 'DejaVu Sans', …, sans-serif`: keep the size, take the page's family.
+    svg = re.sub(r"(font: [^'\";]*?px) [^;\"]*", r"\1 var(--sans)", svg)
+    width = re.search(r'viewBox="0 0 ([\d.]+) ', svg)
+    points = float(width.group(1)) if width else 400.0
+    return re.sub(
+        r"<svg[^>]*?(viewBox=\"[^\"]*\")[^>]*>",
+        rf'<svg class="chart" role="img" style="max-width:{points * 4 / 3:.0f}px" '
+        r'xmlns:xlink="http://www.w3.org/1999/xlink" \1>',
+        svg,
+        count=1,
+    )
+
+
+def figure(contents: str, caption: str = "", kind: str = "") -> str:
+    """Something with a caption below; the caption may hold HTML."""
+    below = f"<figcaption>{caption}</figcaption>" if caption else ""
+    return f'<figure class="{kind}">{contents}{below}</figure>'
+
+
+def grid(items: Iterable[str], kind: str = "two") -> str:
+    """Things beside one another as far as the width allows."""
+    return f'<div class="grid {kind}">{"".join(items)}</div>'
+
+
+def section(name: str, title: str, contents: str) -> str:
+    """A part of the page under a heading."""
+    return f'<section id="{name}"><h2>{text(title)}</h2>{contents}</section>'
+
+
+def paragraph(contents: str, kind: str = "") -> str:
+    """A paragraph; may hold HTML."""
+    return f'<p class="{kind}">{contents}</p>'
+
+
+def missing(name: str, title: str, what: str) -> str:
+    """The one line that stands for a section whose results are not there."""
+    return f'<p class="missing" id="{name}"><b>{text(title)}</b> is left out: {text(what)}.</p>'
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
+    """A table; cells may hold HTML, the first of a row is its heading."""
+    top = "".join(f'<th scope="col">{cell}</th>' for cell in head)
+    body = "".join(
+        f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>"
+        for first, *rest in rows
+    )
+    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def pairs(values: Mapping[str, Any]) -> str:
+    """Names and values of a configuration, nested ones with their path."""
+    rows = "".join(
+        f"<tr><th scope='row'>{text(name)}</th><td>{text(value)}</td></tr>" for name, value in _flat(values)
+    )
+    return f'<div class="scroll"><table class="pairs"><tbody>{rows}</tbody></table></div>'
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, Any]]:
+    for name, value in values.items():
+        if isinstance(value, Mapping) and value:
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield f"{prefix}{name}", value
+
+
+def bars(rows: Sequence[tuple[str, float, str]]) -> str:
+    """Horizontal bars from 0 to 1: label, value and the class that colours it."""
+    lines = "".join(
+        f'<div class="bar {kind}"><span>{text(label)}</span><i><b style="width:{100 * value:.1f}%"></b></i>'
+        f"<em>{value:.2f}</em></div>"
+        for label, value, kind in rows
+    )
+    return f'<div class="bars">{lines}</div>'
+
+
+def number(value: float | None) -> str:
+    """A number with three digits, powers of ten written as such."""
+    if value is None or not np.isfinite(value):
+        return "not finite"
+    shown = f"{value:.3g}"
+    if "e" not in shown:
+        return shown
+    digits, power = shown.split("e")
+    return f"{digits}·10<sup>{str(int(power)).replace('-', '−')}</sup>"

@@ -1,0 +1,94 @@
+"""Movies and sheets of the trajectories that an evaluation kept."""
+
+from pathlib import Path
+
+import numpy as np
+
+from keycld.drawing import (
+    enlarge,
+    overlay_heat_maps,
+    overlay_keypoints,
+    overlay_timeline,
+    save_image,
+    save_movie,
+    sheet,
+    side_by_side,
+)
+from keycld.evaluation import Evaluation
+from keycld.reports import html
+
+_TRAIL = 10
+
+
+def frames_per_second(result: Evaluation) -> float:
+    """Of the movies: half of real time or slower, 25 pictures a second at most, but a long roll-out at real time."""
+    step = int(result.arrays["shown_index"][1] - result.arrays["shown_index"][0])
+    real = 1.0 / (result.scores["dt"] * step)
+    return min(25.0, real)
+
+
+def speed(result: Evaluation) -> str:
+    """How fast a movie plays, in words."""
+    step = int(result.arrays["shown_index"][1] - result.arrays["shown_index"][0])
+    factor = frames_per_second(result) * result.scores["dt"] * step
+    return "in real time" if abs(factor - 1.0) < 0.01 else f"{1.0 / factor:.3g} times slower than real time"
+
+
+def _panels(result: Evaluation, n: int, scale: int, *, wide: bool) -> np.ndarray:
+    """Truth, what the encoder sees in it (if `wide`), and the prediction, with a bar that shows validity."""
+    arrays = result.arrays
+    truth, prediction = arrays["truth"][n], arrays["prediction"][n]
+    panels = [enlarge(truth, scale)]
+    if wide and "heat_maps" in arrays:
+        panels.append(overlay_heat_maps(truth, arrays["heat_maps"][n], scale))
+    if "keypoints" in arrays:
+        keypoints = arrays["keypoints"][n, arrays["shown_index"]].astype(np.float64)
+        panels.append(overlay_keypoints(prediction, keypoints, scale, trail=_TRAIL))
+    else:
+        panels.append(enlarge(prediction, scale))
+    good = arrays["mse"][n] <= result.scores["epsilon"]
+    good = np.logical_and.accumulate(good)[arrays["shown_index"]]
+    return overlay_timeline(side_by_side(panels), good, height=2 * scale)
+
+
+def headline_movie(folder: Path, result: Evaluation) -> str:
+    """The first trajectory: truth, heat maps, prediction. Writes media/prediction.mp4 and .gif."""
+    frames = _panels(result, 0, 4, wide=True)
+    path = folder / "media" / "prediction.mp4"
+    save_movie(path, _held(frames), frames_per_second(result), scale=1)
+    small = _panels(result, 0, 2, wide=True)
+    gif = path.with_suffix(".gif")
+    save_movie(gif, _held(small), frames_per_second(result), scale=1)
+    return html.movie(path, frames[-1], gif, "Truth, heat maps and prediction of the first recording, moving")
+
+
+def trajectory_movies(folder: Path, result: Evaluation) -> list[str]:
+    """Each kept trajectory: truth beside prediction. Writes media/NAME-N.mp4."""
+    name = result.scores["protocol"]["name"]
+    found = []
+    for n in range(len(result.arrays["truth"])):
+        frames = _panels(result, n, 4, wide=False)
+        path = folder / "media" / f"{name}-{n + 1}.mp4"
+        save_movie(path, _held(frames), frames_per_second(result), scale=1)
+        found.append(html.movie(path, frames[-1], None, f"Truth and prediction of recording {n + 1}, moving"))
+    return found
+
+
+def _held(frames: np.ndarray) -> np.ndarray:
+    """The frames with the last one held for half a second, so that the eye finds the start again."""
+    return np.concatenate([frames, np.repeat(frames[-1:], 12, axis=0)])
+
+
+def trajectory_sheet(folder: Path, result: Evaluation, n: int, every: int = 6) -> str:
+    """Every sixth frame, truth above prediction (the paper's Fig. 4). Writes media/sheet-N.png."""
+    rows = [result.arrays["truth"][n], result.arrays["prediction"][n]]
+    picture = sheet(rows, every)
+    save_image(folder / "media" / f"sheet-{n + 1}.png", enlarge(picture, 3))
+    count = len(rows[0][::every])
+    numbers = result.arrays["shown_index"][::every]
+    heads = "".join(f"<span>{number}</span>" for number in numbers)
+    drawn = html.image(picture, f"Every {every}th frame of recording {n + 1}: truth above, prediction below")
+    return (
+        f'<div class="sheet" style="--frames:{count}"><div class="rows"><span>truth</span><span>prediction</span>'
+        f'</div><div>{drawn}<div class="numbers">{heads}</div></div></div>'
+    )

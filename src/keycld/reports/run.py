@@ -1,0 +1,90 @@
+"""What a run folder holds, as far as it is there."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keycld._errors import KeycldError
+from keycld.evaluation import Evaluation, load_evaluation
+
+
+@dataclass(frozen=True)
+class Run:
+    """The stored results of one run.
+
+    Attributes:
+        folder: the run folder.
+        config: `config.json`.
+        environment: `environment.json`, {} if absent.
+        metrics: the lines of `metrics.jsonl`, [] if absent.
+        evaluations: by name, those of `evaluation/*.json` that score a protocol; shortest horizon first.
+        sweeps: potential energies along paths, None if absent.
+    """
+
+    folder: Path
+    config: dict[str, Any]
+    environment: dict[str, Any]
+    metrics: list[dict[str, Any]]
+    evaluations: dict[str, Evaluation]
+    sweeps: dict[str, np.ndarray] | None
+
+    @property
+    def headline(self) -> Evaluation | None:
+        """The evaluation that the page opens with: unseen runs at the paper's horizon where there are any."""
+        if not self.evaluations:
+            return None
+        return self.evaluations.get("test@50") or next(iter(self.evaluations.values()))
+
+    @property
+    def long(self) -> list[Evaluation]:
+        """The evaluations on longer recordings than the headline's, shortest first."""
+        if self.headline is None:
+            return []
+        least = self.headline.scores["protocol"]["horizon"]
+        return [each for each in self.evaluations.values() if each.scores["protocol"]["horizon"] > least]
+
+
+def read_run(folder: str | Path) -> Run:
+    """Read a run folder.
+
+    Raises:
+        KeycldError: it is not one, or a file in it is damaged.
+    """
+    folder = Path(folder)
+    if not (folder / "config.json").exists():
+        raise KeycldError(f"'{folder}' is not a run folder: it has no config.json; train one with `keycld train`.")
+    names = sorted(path.stem for path in (folder / "evaluation").glob("*.json"))
+    results = {name: load_evaluation(folder, name) for name in names}
+    scored = {name: result for name, result in results.items() if "protocol" in result.scores}
+    sweeps = results["sweeps"].arrays if "sweeps" in results else None
+    return Run(
+        folder=folder,
+        config=_json(folder / "config.json"),
+        environment=_json(folder / "environment.json"),
+        metrics=_lines(folder / "metrics.jsonl"),
+        evaluations=dict(sorted(scored.items(), key=lambda item: item[1].scores["protocol"]["horizon"])),
+        sweeps=sweeps if sweeps else None,
+    )
+
+
+def _json(path: Path) -> dict[str, Any]:
+    if not path.exists():
+        return {}
+    try:
+        return json.loads(path.read_text())
+    except ValueError as error:
+        raise KeycldError(f"'{path}' is not valid JSON ({error}): restore it or train again.") from error
+
+
+def _lines(path: Path) -> list[dict[str, Any]]:
+    """The lines that are whole: a killed run may leave half of one."""
+    found = []
+    for line in path.read_text().splitlines() if path.exists() else ():
+        try:
+            found.append(json.loads(line))
+        except ValueError:
+            continue
+    return found
