@@ -59,7 +59,9 @@ def make(
         print(f"{made.folder} is already there, nothing to do")
         return
     speed = made.frames / max(made.seconds, 1e-9)
-    print(f"made {made.folder}: {made.frames} frames in {made.seconds:.0f} s ({speed:.0f} frames/s, {made.renderer})")
+    print(
+        f"made {made.folder}: {made.frames} frames in {made.seconds:.0f} s ({speed:.0f} frames/s, {made.renderer})"
+    )
 
 
 def check(data: tyro.conf.Positional[Path], /) -> None:
@@ -107,7 +109,9 @@ def show(
     dataset = open_data(data)
     images = dataset.split(split)
     if images.image is None or not 0 <= trajectory < len(images):
-        raise KeycldError(f"{split} of {data} holds pictures of trajectories 0 to {len(images) - 1}, not {trajectory}.")
+        raise KeycldError(
+            f"{split} of {data} holds pictures of trajectories 0 to {len(images) - 1}, not {trajectory}."
+        )
     path = out or Path(f"{dataset.folder.name}-{split}-{trajectory}.gif")
     save_movie(path, images.image[trajectory], fps=min(25, round(1 / images.dt)), scale=scale)
     print(f"movie: {path}")
@@ -137,7 +141,9 @@ def import_(
     """
     from keycld.data import import_video
 
-    folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
+    folder = import_video(
+        list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints
+    )
     print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")
 
 

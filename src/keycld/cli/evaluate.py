@@ -24,7 +24,13 @@ def evaluate(
     """
     from keycld.data import open_data
     from keycld.evaluation import evaluate as score
-    from keycld.evaluation import evaluate_sweeps, protocol_named, save_evaluation, standard_protocols, summary
+    from keycld.evaluation import (
+        evaluate_sweeps,
+        protocol_named,
+        save_evaluation,
+        standard_protocols,
+        summary,
+    )
     from keycld.training import finished, load_run
 
     model, config = load_run(run)

@@ -47,7 +47,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             names = list(verbs) if prog == "keycld data" else [*verbs, "data"]
             raise unknown("verb", words[0], names)
         tyro.extras.subcommand_cli_from_dict(
-            verbs, prog=prog, description=description, args=words or ["--help"], config=(tyro.conf.OmitArgPrefixes,)
+            verbs,
+            prog=prog,
+            description=description,
+            args=words or ["--help"],
+            config=(tyro.conf.OmitArgPrefixes,),
         )
     except KeycldError as error:
         print(f"keycld: {error}", file=sys.stderr)

@@ -21,6 +21,7 @@ def train(
     constraints: Path | None = None,
     config: Path | None = None,
     track: str = "none",
+    log_every: int = 25,
     checkpoint_seconds: float = 60.0,
 ) -> None:
     """Train a model from pictures; the same command resumes a run that was killed.
@@ -38,6 +39,7 @@ def train(
         constraints: TOML file with the constraints, instead of the data's own.
         config: A run's config.json: trains the same again (data, preset, settings, seed).
         track: Also send metrics to none, wandb, trackio or tensorboard.
+        log_every: Steps between lines of metrics.jsonl.
         checkpoint_seconds: A killed run loses at most about this much.
     """
     from keycld.cli.making import data_for
@@ -65,6 +67,7 @@ def train(
         seed=seed,
         constraints=None if constraints is None else load_constraints(constraints),
         track=track,
+        log_every=log_every,
         checkpoint_seconds=checkpoint_seconds,
     )
     print(f"trained: {run}\nnext: keycld eval {run}, keycld report {run}")

@@ -9,8 +9,7 @@ from pathlib import Path
 from keycld._errors import KeycldError
 
 
-def sync(path: Path) -> None:
-    """Flush a file or a folder to the disk."""
+def _sync(path: Path) -> None:
     handle = os.open(path, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -18,28 +17,51 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-def writing_error(path: Path, error: OSError) -> KeycldError:
-    """A sentence for an OSError met while writing `path`."""
-    if error.errno == errno.ENOSPC or "No space left" in str(error):
-        return KeycldError(f"the disk is full while writing {path}: free some space and run the same command again.")
-    return KeycldError(f"cannot write {path} ({error.strerror or error}): choose a folder that you may write to.")
+def _writing_error(path: Path, error: OSError) -> KeycldError:
+    # h5py gives the reason in the text only.
+    if error.errno in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
+        return KeycldError(f"the disk is full while writing {path}: free some space and run it again.")
+    reason = error.strerror or str(error)
+    return KeycldError(f"cannot write {path} ({reason}): choose a folder that you may write to.")
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, where they are missing.
+
+    Raises:
+        KeycldError: it cannot be made.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _writing_error(path, error) from error
 
 
 @contextlib.contextmanager
 def atomic(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path`; on success flush and rename it, on failure remove it.
 
-    **Raises:** `KeycldError` where the folder cannot be written or the disk is full.
+    Raises:
+        KeycldError: the folder cannot be written, or the disk is full.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
-        sync(temporary)
+        _sync(temporary)
         os.replace(temporary, path)
-        sync(path.parent)
+        _sync(path.parent)
     except OSError as error:
-        raise writing_error(path, error) from error
+        raise _writing_error(path, error) from error
     finally:
         with contextlib.suppress(OSError):
             temporary.unlink()
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file, whole or not at all.
+
+    Raises:
+        KeycldError: as `atomic`.
+    """
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")

@@ -1,2 +1,47 @@
-def check(path, images=True):
-    return []
+"""The validator: what is wrong in a file or a folder."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+from keycld._errors import KeycldError
+from keycld.data.rules import check_images, check_structure
+from keycld.data.statistics import read_statistics, sha256
+from keycld.data.store import open_file
+
+
+def check(path: str | Path) -> list[str]:
+    """What is wrong with a file, or with all the files of a folder; an empty list where all is well.
+
+    Every picture is decoded. In a folder that `keycld data make` finished, the check-sums are compared too.
+    """
+    path = Path(path)
+    if path.is_dir():
+        return list(_check_folder(path))
+    try:
+        file = open_file(path)
+    except KeycldError as error:
+        return [str(error)]
+    with file:
+        problems = check_structure(file) or check_images(file)
+    return [f"{path}: {problem}" for problem in problems]
+
+
+def _check_folder(folder: Path) -> Iterator[str]:
+    files = sorted(folder.glob("*.h5"))
+    if not files:
+        yield f"{folder} holds no .h5 file: make or import data there first."
+    if (folder / ".partial").exists() and not (folder / "statistics.json").exists():
+        yield f"{folder} is unfinished: run the command that made it once more."
+    for file in files:
+        yield from check(file)
+    try:
+        stored = read_statistics(folder) or {}
+    except KeycldError as error:
+        yield str(error)
+        return
+    for name, figures in stored.get("splits", {}).items():
+        file = folder / f"{name}.h5"
+        if not file.exists():
+            yield f"{folder} lacks {file.name}, which statistics.json describes: make the data again."
+        elif figures.get("sha256") != sha256(file):
+            yield f"{file} has changed since it was made: its check-sum differs from that in statistics.json."

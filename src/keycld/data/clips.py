@@ -158,12 +158,12 @@ def _starts(data: Resident, key: PRNGKeyArray, batch: int, span: int) -> tuple[A
     )
 
 
-def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool) -> Clip:
+def _gather(
+    data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool
+) -> Clip:
     rows, columns = trajectory[:, None], start[:, None] + index
-    if data.u.ndim == 2:
-        u = data.u[trajectory]
-    else:
-        u = data.u[rows, start[:, None] + jnp.arange(span)[None, :]]
+    held = start[:, None] + jnp.arange(span)[None, :]
+    u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]
     return Clip(
         frames=data.image[rows, columns].astype(jnp.float32) / 255.0 if frames else None,
         keypoints=None if frames or data.keypoints is None else data.keypoints[rows, columns],

@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 
-from keycld.data.atomic import atomic
+from keycld._errors import KeycldError
+from keycld.data.atomic import write_text
 from keycld.data.store import read
+
+_NAME = "statistics.json"
 
 
 def sha256(path: Path) -> str:
@@ -19,43 +21,71 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-def statistics(folder: Path, names: Sequence[str]) -> dict[str, Any]:
-    """What `statistics.json` holds on the files NAME.h5 of a folder."""
-    splits: dict[str, Any] = {}
-    for name in names:
-        path = folder / f"{name}.h5"
-        trajectories = read(path)
-        image = trajectories.image
-        figures: dict[str, Any] = {
-            "trajectories": len(trajectories),
-            "frames": trajectories.frames,
-            "bytes": path.stat().st_size,
-            "sha256": sha256(path),
-        }
-        if image is not None:
-            figures |= _image_figures(image)
-        splits[name] = figures
-    return {"splits": splits}
+def read_statistics(folder: Path) -> dict[str, Any] | None:
+    """What `statistics.json` of a folder says, or None where there is none.
 
-
-def _image_figures(image: np.ndarray) -> dict[str, Any]:
-    flat = image.reshape(-1, *image.shape[2:])
-    # Sums in float64, some hundred frames at a time: the whole set as floats would not fit small machines.
-    total, squares = np.zeros(flat.shape[1:]), np.zeros(flat.shape[1:])
-    for first in range(0, len(flat), 512):
-        block = flat[first : first + 512].astype(np.float32) / 255.0
-        total += block.sum(axis=0, dtype=np.float64)
-        squares += np.square(block).sum(axis=0, dtype=np.float64)
-    mean = total / len(flat)
-    variance = np.maximum(squares / len(flat) - mean**2, 0.0)
-    return {
-        "mean": float(mean.mean()),
-        "deviation": float(np.sqrt(variance.mean())),
-        "epsilon": float(variance.mean()),
-    }
+    Raises:
+        KeycldError: the file is damaged.
+    """
+    path = folder / _NAME
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except (OSError, ValueError) as error:
+        raise KeycldError(f"{path} is damaged ({error}): delete it and make the data again.") from error
 
 
 def write_statistics(folder: Path, figures: dict[str, Any]) -> None:
     """Write `statistics.json`."""
-    with atomic(folder / "statistics.json") as temporary:
-        temporary.write_text(json.dumps(figures, indent=1))
+    write_text(folder / _NAME, json.dumps(figures, indent=1) + "\n")
+
+
+def split_statistics(path: Path) -> dict[str, Any]:
+    """Figures of one file: counts, size, check-sum, pictures and motion (grey levels in [0, 1])."""
+    trajectories = read(path)
+    figures: dict[str, Any] = {
+        "trajectories": len(trajectories),
+        "frames": trajectories.frames,
+        "bytes": path.stat().st_size,
+        "sha256": sha256(path),
+    }
+    if trajectories.image is not None:
+        figures |= image_statistics(trajectories.image)
+    if trajectories.state is not None:
+        figures["motion_per_frame"] = _motion(trajectories.state, trajectories.attributes.get("state_names"))
+    return figures
+
+
+def image_statistics(image: np.ndarray) -> dict[str, Any]:
+    """Mean and deviation of all grey levels, and ε, of `image` uint8 [N, T, H, W, 3].
+
+    ε is the mean squared error of predicting the mean frame, that is the mean over pixels of each one's variance;
+    of the validation split it is the threshold of the valid prediction time (KeyCLD, section 4).
+    """
+    flat = image.reshape(-1, *image.shape[2:])
+    total, squares = np.zeros(flat.shape[1:]), np.zeros(flat.shape[1:])
+    # Some hundred frames at a time: the whole set as floats would not fit small machines.
+    for first in range(0, len(flat), 512):
+        block = flat[first : first + 512].astype(np.float32) / 255.0
+        total += block.sum(axis=0, dtype=np.float64)
+        squares += np.square(block).sum(axis=0, dtype=np.float64)
+    mean, square = total / len(flat), squares / len(flat)
+    return {
+        "mean": float(mean.mean()),
+        "deviation": float(np.sqrt(max(square.mean() - mean.mean() ** 2, 0.0))),
+        "epsilon": float(np.mean(np.maximum(square - mean**2, 0.0))),
+    }
+
+
+def _motion(state: np.ndarray, names: Sequence[str] | None) -> dict[str, dict[str, float]]:
+    """Each component's largest change between two frames of a recording: the fastest moment decides."""
+    steps = np.abs(np.diff(state, axis=1)).max(axis=1)
+    return {
+        name: {
+            "median": float(np.median(steps[:, i])),
+            "p90": float(np.quantile(steps[:, i], 0.9)),
+            "largest": float(steps[:, i].max()),
+        }
+        for i, name in enumerate(names or map(str, range(steps.shape[-1])))
+    }

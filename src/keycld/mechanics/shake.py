@@ -14,6 +14,10 @@ from keycld.mechanics.linear import factor, gram, substitute, times
 from keycld.mechanics.state import Motion, Scalar
 
 
+_LARGEST_TURN = 0.8
+"""Radians that a drift may turn a part by; beyond 90° there is no solution."""
+
+
 def constrained_drift(
     law: ConstrainedLagrangian,
     motion: Motion,
@@ -24,10 +28,12 @@ def constrained_drift(
 ) -> Motion:
     """Drift for h seconds onto the constraints: v' = v + M⁻¹DΦ(x)ᵀλ, x' = x + h v', Φ(x') = constants.
 
-    Newton's method for λ, with the exact matrix DΦ(x') M⁻¹ DΦ(x)ᵀ, unrolled. Derivatives flow through the
-    last iteration alone: first derivatives are those of the implicit function theorem at the price of one
-    iteration; second derivatives are not right. Where a step turns a part by more than 60°, there may be no
-    solution, and the bounded pivots keep the result finite; sub-steps are the mend.
+    λ starts from the constraints linearised at x and takes steps of Newton's method, with the exact matrix
+    DΦ(x') M⁻¹ DΦ(x)ᵀ. Derivatives flow through the last step alone: first derivatives are those of the
+    implicit function theorem at the price of one step; second ones are not right.
+
+    A drift that turns a part too far (0.8 rad, as the change of DΦ tells), or that starts too far off the
+    constants, is shortened to what it can do: the result is finite, only slow. Sub-steps are the mend.
     """
     x, v = motion
     if jacobian.shape[0] == 0:
@@ -37,31 +43,37 @@ def constrained_drift(
             "SHAKE and RATTLE hold Φ at the constants of the state, but its parameters have no 'constants': "
             "add law.constraint(x, parameters) of the start."
         )
-    constants = parameters["constants"]
     pull = law.inverse_mass[None, :] * jacobian
-    frozen = jax.lax.stop_gradient((x, v, pull, jacobian))
-
-    def newton_matrix(multipliers):
-        x, v, pull, _ = frozen
-        ahead = x + h * (v + times(pull.T, multipliers))
-
-        def twice(y):
-            value = law.constraint(y, parameters)
-            return value, value
-
-        slope, value = jax.jacfwd(twice, has_aux=True)(ahead)
-        return jax.lax.stop_gradient((gram(slope, pull), constants - value))
-
-    reference = factor(gram(frozen[3], frozen[2])).inverse_pivots
-    multipliers = jnp.zeros_like(constants)
-    for _ in range(iterations - 1):
-        matrix, defect = newton_matrix(multipliers)
-        multipliers = multipliers + substitute(factor(matrix, reference), defect / h)
-    matrix, _ = newton_matrix(multipliers)
-    near = v + times(pull.T, multipliers)
-    defect = constants - law.constraint(x + h * near, parameters)
-    v = near + times(pull.T, substitute(factor(matrix, reference), defect / h))
+    offset = parameters["constants"] - law.constraint(x, parameters)
+    share, multipliers, newton = jax.lax.stop_gradient(
+        _multipliers(law, *jax.lax.stop_gradient((x, v, jacobian, pull, offset)), parameters, h, iterations)
+    )
+    target = parameters["constants"] - (1 - share) * offset
+    v = share * v + times(pull.T, multipliers)
+    v = v + times(pull.T, substitute(newton, target - law.constraint(x + h * v, parameters))) / h
     return Motion(x + h * v, v)
+
+
+def _multipliers(law, x, v, jacobian, pull, offset, parameters, h, iterations):
+    """The share of the drift that can be done, λ before the last step of Newton's method, and its matrix."""
+    straight = factor(gram(jacobian, pull))
+    linear = substitute(straight, offset / h - times(jacobian, v))
+    size = jnp.sum(jacobian * pull, axis=1)
+    bent = law.jacobian(x + h * (v + times(pull.T, linear)), parameters) - jacobian
+    turned = jnp.sum(bent * bent * law.inverse_mass[None, :], axis=1)
+    over = turned > _LARGEST_TURN**2 * size
+    over = over & (size > 0)
+    share = jnp.min(jnp.where(over, _LARGEST_TURN * jnp.sqrt(size / jnp.where(over, turned, 1.0)), 1.0))
+
+    target = law.constraint(x, parameters) + share * offset
+    v, multipliers = share * v, share * linear
+    for iteration in range(iterations):
+        ahead = x + h * (v + times(pull.T, multipliers))
+        newton = factor(gram(law.jacobian(ahead, parameters), pull), straight.inverse_pivots)
+        if iteration < iterations - 1:
+            defect = target - law.constraint(ahead, parameters)
+            multipliers = multipliers + substitute(newton, defect) / h
+    return share, multipliers, newton
 
 
 class Shake(AbstractIntegrator):

@@ -9,4 +9,13 @@ from keycld.models.losses import PredictionLoss as PredictionLoss
 from keycld.models.losses import TrackLoss as TrackLoss
 from keycld.models.losses import VisionLoss as VisionLoss
 
-__all__ = ["AbstractLoss", "AbstractModel", "CollocationLoss", "KeyCLD", "Prediction", "PredictionLoss", "TrackLoss", "VisionLoss"]
+__all__ = [
+    "AbstractLoss",
+    "AbstractModel",
+    "CollocationLoss",
+    "KeyCLD",
+    "Prediction",
+    "PredictionLoss",
+    "TrackLoss",
+    "VisionLoss",
+]

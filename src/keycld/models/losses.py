@@ -54,7 +54,11 @@ class VisionLoss(AbstractLoss):
             "heat_map": _focus(model, seen.heat_maps, seen.keypoints, frames.shape[1:3], self.sigma),
             "constraint": jnp.sum(jnp.var(jax.vmap(model.dynamics.law.constraint)(x), axis=0)),
         }
-        total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + self.constraint * terms["constraint"]
+        total = (
+            terms["reconstruction"]
+            + self.heat_map * terms["heat_map"]
+            + self.constraint * terms["constraint"]
+        )
         return total, terms
 
 
@@ -148,7 +152,9 @@ class CollocationLoss(AbstractLoss):
         def one(x: Array, u: Array, dt: Array) -> Array:
             velocity = (x[2:] - x[:-2]) / (2 * dt)
             seen = (velocity[2:] - velocity[:-2]) / (2 * dt)
-            inputs = jnp.broadcast_to(u[None, :], (count - 4, u.shape[0])) if u.ndim == 1 else u[2 : count - 2]
+            inputs = (
+                jnp.broadcast_to(u[None, :], (count - 4, u.shape[0])) if u.ndim == 1 else u[2 : count - 2]
+            )
             return seen - jax.vmap(law.acceleration)(x[2:-2], velocity[1:-1], inputs)
 
         defect = jax.vmap(one)(keypoints.reshape(batch, count, -1), clips.u, clips.dt)

@@ -23,7 +23,7 @@ _NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
 
 
 def error_figure(result: Evaluation) -> Figure:
-    """MSE over time with a band from the 10th to the 90th percentile, baselines and ε (the paper's Fig. 3)."""
+    """MSE over time with a band of 10th to 90th percentile, baselines and ε (the paper's Fig. 3)."""
     errors = _finite(result.arrays["mse"])
     frames = np.arange(errors.shape[1])
     curves = [
@@ -63,7 +63,7 @@ def vpt_figure(result: Evaluation) -> Figure:
 
 
 def coordinate_figure(result: Evaluation) -> Figure:
-    """Error of each true position along the roll-out: median with a band from the 10th to the 90th percentile."""
+    """Error of each true position along the roll-out: median with a band of 10th to 90th percentile."""
     errors = result.arrays["coordinate_error"]
     frames = np.arange(errors.shape[1])
     panels = []
@@ -98,7 +98,8 @@ def deviation_figure(result: Evaluation) -> Figure:
 
 
 def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figure]]:
-    """V along each path with pictures above it, and over each two-dimensional grid: name, what varies, figure.
+    """V along each path with pictures above it, and over each two-dimensional grid: name, what varies,
+    figure.
 
     All paths share one vertical span, so that a coordinate on which V hardly depends shows as a flat line.
     """
@@ -146,7 +147,7 @@ def _in_degrees(
 
 
 def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
-    """Every loss term and score over wall-clock minutes, stage boundaries as hairlines; None without numbers."""
+    """Every loss term and score over minutes, stage boundaries as hairlines; None without numbers."""
     names: list[str] = []
     for line in metrics:
         names += [key for key, value in line.items() if _is_term(key, value) and key not in names]
@@ -154,7 +155,9 @@ def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
     for name in names:
         lines = [line for line in metrics if _is_term(name, line.get(name))]
         minutes = np.array([line.get("seconds", line["step"]) for line in lines], float) / 60.0
-        panels.append((name.replace("_", " "), [Curve(minutes, np.array([line[name] for line in lines], float))]))
+        panels.append(
+            (name.replace("_", " "), [Curve(minutes, np.array([line[name] for line in lines], float))])
+        )
     if not panels:
         return None
     marks, seen = [], None

@@ -1,4 +1,4 @@
-"""The few pieces of HTML that the page is made of. Every function returns text; what it is given is escaped."""
+"""The few pieces of HTML that the page is made of; every function returns text."""
 
 import base64
 import html
@@ -54,7 +54,7 @@ def movie(path: Path, still: UInt8[np.ndarray, "H W 3"], fallback: Path | None, 
 
 
 def chart(figure: Figure, name: str) -> str:
-    """A matplotlib figure as part of the page: its colours follow the page's theme, its words the page's type."""
+    """A matplotlib figure as part of the page, in the page's colours and type."""
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", figure_svg(figure, name), flags=re.S)
     for role in ("text", "quiet", "line", "one", "two", "three", "four", "limit"):
         svg = svg.replace(getattr(INK, role), f"var(--{role})")
@@ -104,7 +104,8 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") ->
         f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>"
         for first, *rest in rows
     )
-    return f'<div class="scroll"><table class="{kind}"><thead><tr>{top}</tr></thead><tbody>{body}</tbody></table></div>'
+    rows_of_cells = f"<thead><tr>{top}</tr></thead><tbody>{body}</tbody>"
+    return f'<div class="scroll"><table class="{kind}">{rows_of_cells}</table></div>'
 
 
 def pairs(values: Mapping[str, Any]) -> str:

@@ -21,7 +21,7 @@ _TRAIL = 10
 
 
 def frames_per_second(result: Evaluation) -> float:
-    """Of the movies: half of real time or slower, 25 pictures a second at most, but a long roll-out at real time."""
+    """Of the movies: real time, but at most 25 pictures a second."""
     step = int(result.arrays["shown_index"][1] - result.arrays["shown_index"][0])
     real = 1.0 / (result.scores["dt"] * step)
     return min(25.0, real)
@@ -89,6 +89,7 @@ def trajectory_sheet(folder: Path, result: Evaluation, n: int, every: int = 6) -
     heads = "".join(f"<span>{number}</span>" for number in numbers)
     drawn = html.image(picture, f"Every {every}th frame of recording {n + 1}: truth above, prediction below")
     return (
-        f'<div class="sheet" style="--frames:{count}"><div class="rows"><span>truth</span><span>prediction</span>'
-        f'</div><div>{drawn}<div class="numbers">{heads}</div></div></div>'
+        f'<div class="sheet" style="--frames:{count}">'
+        '<div class="rows"><span>truth</span><span>prediction</span></div>'
+        f'<div>{drawn}<div class="numbers">{heads}</div></div></div>'
     )

@@ -99,7 +99,7 @@ class AbstractSystem(abc.ABC):
     @property
     @abc.abstractmethod
     def constraints(self) -> "Constraints":
-        """The constraints Φ suggested for `keypoints`; only their Jacobian matters, so the constants need not fit."""
+        """The constraints Φ suggested for `keypoints`. Only DΦ matters, so their constants need not fit."""
 
     @abc.abstractmethod
     def landmarks(self, state: np.ndarray) -> np.ndarray:
@@ -118,13 +118,14 @@ class AbstractSystem(abc.ABC):
 
     @abc.abstractmethod
     def drawer(self) -> AbstractContextManager[Drawer]:
-        """A context in which this process draws the system. Keep to one system a process (see `rendering`)."""
+        """A context in which this process draws the system; keep to one system a process."""
 
     def check(self, conditions: Conditions) -> None:
         """Raise `KeycldError` where the system does not know the conditions."""
         if conditions.control not in self.control_modes:
             raise KeycldError(
-                f"{self.name} has no control mode '{conditions.control}': choose from {', '.join(self.control_modes)}."
+                f"{self.name} has no control mode '{conditions.control}': "
+                f"choose from {', '.join(self.control_modes)}."
             )
         if conditions.start not in self.starts:
             raise KeycldError(

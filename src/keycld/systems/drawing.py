@@ -19,7 +19,7 @@ class Pictures(NamedTuple):
 
 
 def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
-    """Pictures of `states [n, d]`; for worker processes, which keep the renderer and must draw one system only.
+    """Pictures of `states [n, d]`; for worker processes, which keep the renderer and draw one system only.
 
     Making a renderer takes a third of a second, and those of several models in one process gave corrupted
     pictures.

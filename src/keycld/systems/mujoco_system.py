@@ -102,7 +102,7 @@ class AbstractMujocoSystem(AbstractSystem):
         return self.simulate(np.concatenate([position, velocity]), u, frames, clip=conditions.clip)
 
     def simulate(self, state: np.ndarray, u: np.ndarray, frames: int, *, clip: bool = True) -> Run:
-        """Follow the motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame.
+        """The motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame.
 
         One physics step a frame, as in the paper; the first frame is the state **after** the first step.
         """
@@ -124,7 +124,7 @@ class AbstractMujocoSystem(AbstractSystem):
         return Run(time, np.array(u, dtype=float), states, derivatives)
 
     def energies(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Kinetic and potential energy `[T]` in joules of states `[T, d]`; the potential's zero is MuJoCo's."""
+        """Kinetic and potential energy `[T]`, joules, of states `[T, d]`; the zero of heights is the floor's."""
         mujoco = import_mujoco()
         model = _simulated_model(self.name, True)
         data = mujoco.MjData(model)

@@ -94,7 +94,7 @@ class _Crew:
             return self._attempt(task)
         except _Lost as error:
             raise KeycldError(
-                f"a renderer process failed twice ({error}): try fewer workers, or another GL driver (MUJOCO_GL)."
+                f"a renderer process failed twice ({error}): try fewer workers, or another driver (MUJOCO_GL)."
             ) from error
 
     def _attempt(self, task: Task) -> Any:

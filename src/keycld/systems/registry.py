@@ -8,10 +8,10 @@ from keycld._errors import unknown
 from keycld.systems.base import AbstractSystem
 
 _SYSTEMS: dict[str, AbstractSystem] = {}
-S = TypeVar("S", bound=type[AbstractSystem])
+S = TypeVar("S", bound=AbstractSystem)
 
 
-def register(system: S) -> S:
+def register(system: type[S]) -> type[S]:
     """Class decorator that makes a system known by its `name`.
 
     A file in `keycld/systems/catalogue/` with one decorated class is all that a new system needs. Your own

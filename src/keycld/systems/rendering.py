@@ -15,8 +15,8 @@ _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software rasterizer")
 
 NO_GL = (
     "nothing can draw here, because no OpenGL context could be made ({reason}): on Debian or Ubuntu install "
-    "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; set MUJOCO_GL to choose "
-    "another back end."
+    "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; "
+    "MUJOCO_GL chooses another back end."
 )
 
 
@@ -65,4 +65,5 @@ class MujocoDrawer:
 def _gl_renderer() -> str:
     from OpenGL import GL
 
-    return GL.glGetString(GL.GL_RENDERER).decode()
+    name: Any = GL.glGetString(GL.GL_RENDERER)
+    return name.decode()

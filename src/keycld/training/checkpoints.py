@@ -42,8 +42,11 @@ def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any]
             file.flush()
             os.fsync(file.fileno())
         write_text(temporary / "position.json", json.dumps(position, indent=1))
-        shutil.rmtree(final, ignore_errors=True)
-        os.replace(temporary, final)
+        # A killed process may have written this very step already; it holds the same bits.
+        if final.exists():
+            shutil.rmtree(temporary)
+        else:
+            os.replace(temporary, final)
         _sync(root)
         write_text(root / "latest", name)
         _sync(root)
@@ -69,7 +72,9 @@ def read_position(checkpoint: Path) -> dict[str, Any]:
     try:
         return json.loads((checkpoint / "position.json").read_text())
     except (OSError, ValueError) as error:
-        raise KeycldError(f"checkpoint {checkpoint} is damaged ({error}); delete it and train again.") from error
+        raise KeycldError(
+            f"checkpoint {checkpoint} is damaged ({error}); delete it and train again."
+        ) from error
 
 
 def load_leaves(checkpoint: Path, like: Any) -> Any:

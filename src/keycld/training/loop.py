@@ -4,7 +4,6 @@ import dataclasses
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import equinox as eqx
 import jax
@@ -50,6 +49,7 @@ def train_stages(
     steps_per_dispatch: int,
     checkpoint_seconds: float,
     log_every: int,
+    keep: int,
     tracker: Tracker,
     validate: Validate,
 ) -> AbstractModel:
@@ -99,7 +99,7 @@ def train_stages(
             "frames": clock.frames,
         }
         tree = (model, None if progress is None else progress.optimiser, data.keypoints)
-        save_checkpoint(folder, f"{number:02d}-{stages[number].name}-{step:06d}", tree, position)
+        save_checkpoint(folder, f"{number:02d}-{stages[number].name}-{step:06d}", tree, position, keep)
 
     for number in range(first, len(stages)):
         stage = stages[number]

@@ -57,7 +57,9 @@ class Stage:
 
     def transformation(self, parameters: Any) -> optax.GradientTransformation:
         """The optimiser of this stage for the trainable part of a model."""
-        labels = {name: jax.tree.map(lambda _, name=name: name, getattr(parameters, name)) for name in self.rates}
+        labels = {
+            name: jax.tree.map(lambda _, name=name: name, getattr(parameters, name)) for name in self.rates
+        }
         tree = eqx.tree_at(
             lambda tree: [getattr(tree, name) for name in labels], parameters, list(labels.values())
         )
@@ -68,9 +70,7 @@ class Stage:
         return optax.chain(optax.clip_by_global_norm(self.clip), combined)
 
 
-def warmup_cosine(
-    rate: float, steps: int, *, warmup: float = 0.05, final: float = 0.02
-) -> optax.Schedule:
+def warmup_cosine(rate: float, steps: int, *, warmup: float = 0.05, final: float = 0.02) -> optax.Schedule:
     """Linear rise over the first `warmup` part of the steps, then half a cosine down to `final · rate`."""
     rise = max(1, round(warmup * steps))
     return optax.warmup_cosine_decay_schedule(0.0, rate, rise, max(steps, rise + 1), final * rate)

@@ -14,7 +14,12 @@ import numpy as np
 from keycld._errors import KeycldError, unknown
 from keycld.data import DataSet, Resident, open_data
 from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
-from keycld.mechanics import AbstractConstraint, Constraints, as_constraint, dump_constraints, load_constraints
+from keycld.mechanics import (
+    AbstractConstraint,
+    Constraints,
+    dump_constraints,
+    load_constraints,
+)
 from keycld.models import AbstractModel
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position
 from keycld.training.loop import train_stages
@@ -34,6 +39,7 @@ def train(
     track: str = "none",
     checkpoint_seconds: float = 60.0,
     log_every: int = 25,
+    keep: int = 2,
 ) -> AbstractModel:
     """Trains a model and leaves everything in the folder `out`; the same call resumes a killed run.
 
@@ -48,6 +54,7 @@ def train(
     - `track`: `"none"`, `"wandb"`, `"trackio"` or `"tensorboard"`.
     - `checkpoint_seconds`: a killed run loses at most about this much.
     - `log_every`: steps between lines of `metrics.jsonl`.
+    - `keep`: how many checkpoints stay on disk.
 
     **Raises:** KeycldError for anything a user can mend, before the first step where possible.
     """
@@ -73,7 +80,9 @@ def train(
         command=shlex.join(sys.argv),
     )
     stages = recipe.stages(scene)
-    resident = Resident(jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32))
+    resident = Resident(
+        jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32)
+    )
     for stage in stages:
         stage.sampler.check(resident)
     open_run(folder, config)
@@ -88,6 +97,7 @@ def train(
             steps_per_dispatch=steps_per_dispatch,
             checkpoint_seconds=checkpoint_seconds,
             log_every=log_every,
+            keep=keep,
             tracker=tracker,
             validate=validation_score(dataset),
         )
@@ -111,7 +121,9 @@ def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[Abstr
     if config.constraints is not None:
         constraint = load_constraints(folder / "constraints.toml")
     elif constraint is None:
-        raise KeycldError(f"{folder} was trained with a Python function as constraint; pass that function again.")
+        raise KeycldError(
+            f"{folder} was trained with a Python function as constraint; pass that function again."
+        )
     scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
     model = make_recipe(config.preset, config.settings).model(scene, jax.random.key(0))
     # The model comes first among the leaves, so it can be read without the optimiser's state behind it.

@@ -62,7 +62,7 @@ class Acrobot(AbstractMujocoSystem):
         return uniform_angles(random, 2)
 
     def sweeps(self) -> tuple[SweepPath, ...]:
-        """The whole arm turns stretched (Fig. 11), the lower arm turns under a hanging upper arm (Fig. 12)."""
+        """The stretched arm turns (Fig. 11); the lower arm turns under a hanging upper arm (Fig. 12)."""
         return (
             sweeping.path(self.state_names, "shoulder", {"shoulder": sweeping.FULL_TURN}, {"elbow": 0.0}),
             sweeping.path(self.state_names, "elbow", {"elbow": sweeping.FULL_TURN}, {"shoulder": np.pi}),

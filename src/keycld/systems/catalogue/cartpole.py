@@ -62,7 +62,7 @@ class Cartpole(AbstractMujocoSystem):
         return np.array([random.uniform(-slider_limit, slider_limit), random.uniform(-np.pi, np.pi)])
 
     def sweeps(self) -> tuple[SweepPath, ...]:
-        """The pole's full turn on a still cart (Fig. 9), the cart along the rail with a hanging pole (Fig. 10)."""
+        """The pole turns on a still cart (Fig. 9); the cart moves under a hanging pole (Fig. 10)."""
         turn = {"angle": sweeping.FULL_TURN}
         return (
             sweeping.path(self.state_names, "pole", turn, {"position": 0.0}),

@@ -1,0 +1,141 @@
+"""The parts of the page on what was learned: keypoints, energies, constraints, masses."""
+
+from keycld.drawing import save_figure
+from keycld.reports import figures, html
+from keycld.reports.run import Run
+
+
+def keypoints(run: Run) -> str:
+    """What the keypoints know of the true state."""
+    result = run.headline
+    if result is None or "state" not in result.scores:
+        return html.missing(
+            "state", "What the keypoints know", "no true states, or a model without keypoints"
+        )
+    state = result.scores["state"]
+    pixel = 2.0 / (min(result.arrays["truth"].shape[2:4]) - 1)
+    rows = [
+        ["seen in a picture", html.number(state["residual"]), f"{state['residual'] / pixel:.2f}"],
+        ["predicted, all frames", html.number(state["rollout"]), _pixels(state["rollout"], pixel)],
+        ["predicted, last frame", html.number(state["rollout_last"]), _pixels(state["rollout_last"], pixel)],
+    ]
+    chart = figures.coordinate_figure(result)
+    save_figure(run.folder / "media" / "state.png", chart)
+    last = "; ".join(
+        f"{html.text(each['name'])} {html.number(each['last_median'])} "
+        f"{html.text(each['unit']).replace('deg', '°')}"
+        for each in state["coordinates"]
+    )
+    note = (
+        "The model was never told where anything is. An affine map from its keypoints to the true "
+        "positions of "
+        f"{html.text(' and '.join(state['landmarks']))}, fitted on validation pictures, tells how much they "
+        "know. "
+        f"Median error of the true coordinates at the last frame: {last}."
+    )
+    return html.section(
+        "state",
+        "What the keypoints know",
+        html.paragraph(note)
+        + html.grid(
+            [
+                html.figure(
+                    html.chart(chart, "state"),
+                    "Error of the true coordinates along the predictions: median, 10th to 90th percentile.",
+                ),
+                html.table(["root mean square distance", "image units", "pixels"], rows, "scores"),
+            ]
+        ),
+    )
+
+
+def _pixels(distance: float | None, pixel: float) -> str:
+    return "–" if distance is None else f"{distance / pixel:.2f}"
+
+
+def potential(run: Run) -> str:
+    """The learned potential energy over the configuration (Fig. 8 to 12)."""
+    if run.sweeps is None:
+        return html.missing(
+            "potential", "Learned potential energy", "no sweeps are stored, or the model has no energy"
+        )
+    charts, wide = [], []
+    for name, vary, figure in figures.sweep_figures(run.sweeps):
+        save_figure(run.folder / "media" / f"potential-{name}.png", figure)
+        varied = " and ".join(html.text(each) for each in vary.split(","))
+        drawn = html.chart(figure, f"potential-{name}")
+        if "," in vary:
+            wide.append(html.figure(drawn, f"V over every combination of {varied}."))
+        else:
+            charts.append(html.figure(drawn, f"V as {varied} changes, all else at rest."))
+    note = (
+        "Nobody gave the model an energy: it found one that explains the motion. Each picture below was "
+        "read by the "
+        "encoder, and V evaluated at its keypoints. Only the shape counts; V is known up to a constant "
+        "and, together "
+        "with masses and inputs, up to one factor. All curves share one scale, so a flat line says that "
+        "gravity does "
+        "not act along that coordinate. Compare Fig. 8 to 12 of the paper."
+    )
+    return html.section(
+        "potential", "Learned potential energy", html.paragraph(note) + html.grid(charts + wide)
+    )
+
+
+def conservation(run: Run) -> str:
+    """Energies along roll-outs without input, and the constraints' deviation."""
+    if run.headline is None or "drift" not in run.headline.scores:
+        return html.missing("energy", "Energy along a roll-out", "the model has no energies")
+    result = (run.long or [run.headline])[-1]
+    energies = figures.energy_figure(result)
+    save_figure(run.folder / "media" / "energy.png", energies)
+    drift = result.scores["drift"]
+    horizon = result.scores["protocol"]["horizon"]
+    note = (
+        "Without input nothing is added or lost, so kinetic plus potential energy should stay level. Over "
+        f"{horizon} "
+        f"frames the total changes by {html.number(100 * drift['energy']['mean'])} % of the energy that "
+        "moves "
+        f"(worst {html.number(100 * drift['energy']['worst'])} %)."
+    )
+    parts = [
+        html.figure(
+            html.chart(energies, "energy"),
+            "Energies of the model’s own motion, in its own unit; V from its lowest.",
+        )
+    ]
+    if "deviation" in result.arrays:
+        deviation = figures.deviation_figure(result)
+        save_figure(run.folder / "media" / "constraint.png", deviation)
+        note += (
+            " The constraints, such as the length of a rod, are kept within "
+            f"{html.number(drift['constraint']['worst'])}."
+        )
+        caption = "How far the predicted motion leaves the constraints."
+        parts.append(html.figure(html.chart(deviation, "constraint"), caption))
+    return html.section("energy", "Energy along a roll-out", html.paragraph(note) + "".join(parts))
+
+
+def masses(run: Run) -> str:
+    """The learned masses as ratios."""
+    if run.headline is None or not run.headline.scores.get("masses"):
+        return html.missing("masses", "Learned masses", "the model has none")
+    scores = run.headline.scores
+    values = scores["masses"]
+    names = scores.get("keypoints") or [f"keypoint {k + 1}" for k in range(len(values))]
+    total = sum(values)
+    rows = [
+        (html.text(name), f"{value / values[0]:.3f}", f"{100 * value / total:.1f} %")
+        for name, value in zip(names, values, strict=True)
+    ]
+    note = (
+        "Multiply all masses, the potential energy and the input forces by one number and every motion "
+        "stays the same. "
+        "Video can therefore tell ratios only. A point mass also stands in for a whole rigid part, so its "
+        "share need not "
+        "be that of the material."
+    )
+    if len(values) == 1:
+        note += " With a single keypoint there is no ratio to learn: its mass only sets the unit."
+    head = ["keypoint", f"mass relative to {html.text(names[0])}", "share"]
+    return html.section("masses", "Learned masses", html.paragraph(note) + html.table(head, rows, "scores"))

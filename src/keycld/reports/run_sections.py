@@ -1,0 +1,41 @@
+"""The parts of the page on the run itself: training, configuration, how to reproduce it."""
+
+from keycld.drawing import save_figure
+from keycld.reports import figures, html
+from keycld.reports.run import Run
+
+
+def training(run: Run) -> str:
+    """Curves from metrics.jsonl."""
+    figure = figures.training_figure(run.metrics)
+    if figure is None:
+        return html.missing("training", "Training", "metrics.jsonl is absent or empty")
+    save_figure(run.folder / "media" / "training.png", figure)
+    last = run.metrics[-1]
+    facts = [f"{last['step']:,} steps".replace(",", " ")]
+    if "frames" in last:
+        facts.append(f"{last['frames']:,} pictures through the networks".replace(",", " "))
+    if "seconds" in last:
+        facts.append(f"{last['seconds'] / 60:.1f} minutes")
+    if "cpu_seconds" in last:
+        facts.append(f"{last['cpu_seconds'] / 60:.1f} CPU minutes")
+    stages = list(dict.fromkeys(str(line.get("stage")) for line in run.metrics))
+    note = f"{', '.join(facts)}, in {len(stages)} stages: {html.text(', '.join(stages))}."
+    chart = html.figure(
+        html.chart(figure, "training"), "Loss terms and scores; hairlines where a stage begins."
+    )
+    return html.section("training", "Training", html.paragraph(note) + chart)
+
+
+def reproduction(run: Run) -> str:
+    """The command, the configuration and the environment."""
+    parts = []
+    command = run.config.get("command")
+    if command:
+        parts.append(html.paragraph("The same machine and versions give the same bits."))
+        parts.append(f"<pre><code>{html.text(command)}</code></pre>")
+    rest = {name: value for name, value in run.config.items() if name != "command"}
+    parts.append(f"<details><summary>Configuration</summary>{html.pairs(rest)}</details>")
+    if run.environment:
+        parts.append(f"<details><summary>Environment</summary>{html.pairs(run.environment)}</details>")
+    return html.section("reproduce", "Reproduce", "".join(parts))

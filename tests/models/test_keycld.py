@@ -1,0 +1,220 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld.data import Clip
+from keycld.mechanics import Constraints, DistanceToPoint, MLPPotential, Rattle
+from keycld.models import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
+from keycld.training.presets import FastRecipe, PaperRecipe, Scene
+
+SCENE = Scene(16, 16, 1, 12, 6, ("disc",), Constraints(("disc",), (DistanceToPoint("disc"),)))
+DT = jnp.array(0.05)
+
+
+class Gravity(eqx.Module):
+    """V = 9.81 y for a unit mass."""
+
+    def __call__(self, x):
+        return 9.81 * x[1]
+
+
+@pytest.fixture
+def model():
+    """A tiny KeyCLD whose law is that of a unit pendulum of length one, without input."""
+    fresh = FastRecipe(width=8).model(SCENE, jax.random.key(0))
+    return eqx.tree_at(lambda m: m.dynamics.law.potential, fresh, Gravity())
+
+
+@pytest.fixture
+def paper_model():
+    return PaperRecipe(width=8).model(SCENE, jax.random.key(0))
+
+
+def on_circle(angle):
+    return jnp.array([jnp.sin(angle), -jnp.cos(angle)])
+
+
+def test_start_joins_the_two_given_positions(model):
+    """From rest at 1 rad a pendulum passes x1 after one frame; the solved start must lead there, at the true speed."""
+    u = jnp.zeros(1)
+    fine = eqx.tree_at(lambda m: m.dynamics.integrator, model, Rattle(substeps=200))
+    still = fine.start(on_circle(1.0), on_circle(1.0), DT, u)
+    later = fine.dynamics.step(
+        eqx.tree_at(lambda s: s.coordinates.v, still, jnp.array([1.0, 1.5574]) * 3.0 * np.cos(1.0)), u, DT
+    )
+    start = model.start(on_circle(1.0), later.coordinates.x, DT, u)
+    speed = float(jnp.linalg.norm(start.coordinates.v))
+    assert speed == pytest.approx(3.0, rel=2e-3)
+    reached = model.dynamics.step(start, u, DT).coordinates.x
+    np.testing.assert_allclose(reached, later.coordinates.x, atol=1e-4)
+
+
+def test_a_plain_difference_would_start_wrong(model):
+    """The same case shows why: over a turn of 0.15 rad a difference misses the speed at either frame."""
+    start = model.start(on_circle(1.0), on_circle(1.3), DT, jnp.zeros(1))
+    difference = (on_circle(1.3) - on_circle(1.0)) / DT
+    solved = start.coordinates.v
+    assert float(jnp.linalg.norm(difference - solved)) > 0.05 * float(jnp.linalg.norm(solved))
+
+
+def test_start_compromises_between_two_lengths(model):
+    """Two sightings at distances 0.9 and 1.1 from the pivot give a motion at one constant distance."""
+    state = model.start(0.9 * on_circle(0.5), 1.1 * on_circle(0.6), DT, jnp.zeros(1))
+    path = model.rollout(state, DT, jnp.zeros(1), 40).coordinates.x
+    lengths = jnp.linalg.norm(path, axis=1)
+    np.testing.assert_allclose(lengths, lengths[0], atol=1e-5)
+    assert 0.9 < float(lengths[0]) < 1.1
+
+
+def test_prediction_returns_all_frames_and_backward_undoes_forward(model, getkey):
+    frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
+    u = jnp.zeros(1)
+    prediction = model.predict(frames, DT, u, 9)
+    assert prediction.frames.shape == (9, 16, 16, 3)
+    last = jax.tree.map(lambda leaf: leaf[-1], prediction.states)
+    back = model.rollout(last, -DT, u, 8).coordinates.x[::-1]
+    np.testing.assert_allclose(back, prediction.states.coordinates.x, atol=2e-4)
+
+
+def test_prediction_sees_only_the_given_frames(model, getkey):
+    """Changing frames after the second, or inputs after the last interval, changes nothing."""
+    frames = jax.random.uniform(getkey(), (5, 16, 16, 3))
+    u = jax.random.normal(getkey(), (8, 1))
+    first = model.predict(frames, DT, u, 6).frames
+    second = model.predict(frames.at[2:].set(0.5), DT, u.at[5:].set(9.0), 6).frames
+    np.testing.assert_array_equal(first, second)
+
+
+def test_varying_input_equals_constant_input_when_it_is_constant(getkey):
+    model = FastRecipe(width=8).model(SCENE, jax.random.key(3))
+    model = eqx.tree_at(lambda m: m.dynamics.law.input_matrix.bias, model, jnp.array([5.0, 2.0]))
+    frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
+    u = jnp.array([0.7])
+    constant = model.predict(frames, DT, u, 7).states.coordinates.x
+    varying = model.predict(frames, DT, jnp.broadcast_to(u, (7, 1)), 7).states.coordinates.x
+    without = model.predict(frames, DT, 0 * u, 7).states.coordinates.x
+    np.testing.assert_allclose(constant, varying, atol=1e-5)
+    assert float(jnp.abs(constant - without).max()) > 1e-3
+
+
+def test_a_common_factor_of_mass_energy_and_input_changes_nothing(getkey):
+    """(M, V, g) is learned only up to one factor."""
+    model = FastRecipe(width=8).model(SCENE, jax.random.key(3))
+    law = lambda m: m.dynamics.law  # noqa: E731
+    model = eqx.tree_at(
+        lambda m: (law(m).potential.weight, law(m).input_matrix.bias),
+        model,
+        (jnp.array([0.3, 9.0]), jnp.ones(2)),
+    )
+    scaled = eqx.tree_at(
+        lambda m: (law(m).mass.root, law(m).potential, law(m).input_matrix),
+        model,
+        (
+            law(model).mass.root * 2.0,
+            lambda x: 4 * law(model).potential(x),
+            lambda x: 4 * law(model).input_matrix(x),
+        ),
+        is_leaf=lambda x: x is law(model).potential or x is law(model).input_matrix,
+    )
+    frames, u = jax.random.uniform(getkey(), (2, 16, 16, 3)), jnp.array([0.5])
+    np.testing.assert_allclose(
+        model.predict(frames, DT, u, 10).states.coordinates.x,
+        scaled.predict(frames, DT, u, 10).states.coordinates.x,
+        atol=1e-4,
+    )
+
+
+def clips(key, batch, index, span, frames=True):
+    return Clip(
+        frames=jax.random.uniform(key, (batch, len(index), 16, 16, 3)) if frames else None,
+        keypoints=None if frames else jax.random.normal(key, (batch, len(index), 2)),
+        index=jnp.broadcast_to(jnp.array(index)[None], (batch, len(index))),
+        u=jnp.ones((batch, 1)),
+        dt=jnp.full(batch, 0.05),
+        span=span,
+    )
+
+
+def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey):
+    """Eqs. (10)–(13) for one clip of seven frames, in plain NumPy around the model's own parts."""
+    clip = clips(getkey(), 1, range(7), 7)
+    total, terms = CollocationLoss(5e-4)(paper_model, clip, key=getkey())
+    frames = clip.frames[0]
+    x = np.stack([np.asarray(paper_model.observe(f).keypoints).reshape(-1) for f in frames])
+    drawn = np.stack([np.asarray(paper_model.renderer(jnp.asarray(p).reshape(1, 2))) for p in x])
+    reconstruction = np.sum((drawn - np.asarray(frames)) ** 2) / 7
+    h, defects = 0.05, []
+    velocity = {i: (x[i + 1] - x[i - 1]) / (2 * h) for i in range(1, 6)}
+    for i in range(2, 5):
+        seen = (velocity[i + 1] - velocity[i - 1]) / (2 * h)
+        law = paper_model.dynamics.law
+        model_a = law.acceleration(jnp.asarray(x[i]), jnp.asarray(velocity[i]), jnp.ones(1))
+        defects.append(np.sum((seen - np.asarray(model_a)) ** 2))
+    assert float(terms["reconstruction"]) == pytest.approx(reconstruction, rel=1e-4)
+    assert float(terms["dynamics"]) == pytest.approx(np.mean(defects), rel=2e-2, abs=1e-6)
+    assert float(total) == pytest.approx(reconstruction + 5e-4 * np.mean(defects), rel=1e-4)
+
+
+def test_collocation_vanishes_on_a_true_motion(model):
+    """Keypoints that obey eq. (6) closely leave almost no defect; ones with wrong gravity leave much."""
+    law = model.dynamics.law
+    start = model.start(on_circle(0.5), on_circle(0.5), jnp.array(0.01), jnp.zeros(1))
+    x = model.rollout(start, jnp.array(0.01), jnp.zeros(1), 20).coordinates.x
+    v = (x[2:] - x[:-2]) / 0.02
+    a = (v[2:] - v[:-2]) / 0.02
+    expected = jax.vmap(lambda x, v: law.acceleration(x, v, jnp.zeros(1)))(x[2:-2], v[1:-1])
+    assert float(jnp.abs(a - expected).max()) < 0.05 * float(jnp.abs(expected).max())
+
+
+def test_track_loss_is_zero_on_the_models_own_motion(model):
+    start = model.start(on_circle(0.5), on_circle(0.6), DT, jnp.zeros(1))
+    path = model.rollout(start, DT, jnp.zeros(1), 9).coordinates.x
+    clip = Clip(None, path[None], jnp.arange(10)[None], jnp.zeros((1, 1)), DT[None], 10)
+    loss, _ = TrackLoss()(model, clip, key=jax.random.key(0))
+    assert float(loss) < 1e-6
+    moved = eqx.tree_at(lambda c: c.keypoints, clip, clip.keypoints.at[0, 5:].add(0.1))
+    assert float(TrackLoss()(model, moved, key=jax.random.key(0))[0]) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("loss", "index", "span", "frames"),
+    [
+        (VisionLoss(), [0], 1, True),
+        (TrackLoss(), [0, 1, 2, 3], 4, False),
+        (PredictionLoss(), [0, 1, 4, 7], 8, True),
+    ],
+)
+def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, frames, getkey):
+    model = FastRecipe(width=8).model(SCENE, jax.random.key(0))
+    clip = clips(getkey(), 3, index, span, frames)
+    gradient = eqx.filter_grad(lambda m: loss(m, clip, key=getkey())[0])(model)
+    groups = {
+        name: jax.tree.leaves(getattr(gradient, name)) for name in ("estimator", "dynamics", "renderer")
+    }
+    moved = {name: any(bool(jnp.any(leaf != 0)) for leaf in leaves) for name, leaves in groups.items()}
+    assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaves in groups.values() for leaf in leaves)
+    expected = {
+        VisionLoss: {"estimator": True, "dynamics": False, "renderer": True},
+        TrackLoss: {"estimator": False, "dynamics": True, "renderer": False},
+        PredictionLoss: {"estimator": True, "dynamics": True, "renderer": True},
+    }[type(loss)]
+    assert moved == expected
+
+
+def test_paper_model_predicts_with_its_adaptive_solver(paper_model, getkey):
+    frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
+    prediction = paper_model.predict(frames, DT, jnp.array([0.3]), 6)
+    assert prediction.frames.shape == (6, 16, 16, 3)
+    x = prediction.states.coordinates.x
+    seen = paper_model.observe(frames[1]).keypoints.reshape(-1)
+    np.testing.assert_allclose(x[1], seen, atol=1e-5)  # the state belongs to the second frame
+    assert bool(jnp.all(jnp.isfinite(x)))
+
+
+def test_potential_of_the_paper_starts_flat(getkey):
+    """Kernels N(0, 0.01²): energies start near zero everywhere."""
+    potential = MLPPotential(4, key=getkey())
+    values = jax.vmap(potential)(jax.random.uniform(getkey(), (50, 4), minval=-1, maxval=1))
+    assert float(jnp.abs(values).max()) < 1e-3

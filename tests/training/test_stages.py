@@ -1,0 +1,154 @@
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+import pytest
+
+from keycld._errors import KeycldError
+from keycld.data import RandomFrames, Resident, StartAndLater, WholeTrajectories, Windows
+from keycld.training import Stage, make_recipe
+from keycld.training.stages import forgetful, warmup_cosine
+from keycld.training.step import begin, diagnose, make_step
+
+
+@pytest.fixture
+def data():
+    """Four trajectories of ten frames whose every pixel tells trajectory and frame: 10 n + t."""
+    number = (10 * np.arange(4)[:, None] + np.arange(10)[None, :]).astype(np.uint8)
+    image = np.broadcast_to(number[:, :, None, None, None], (4, 10, 8, 8, 3))
+    return Resident(jnp.asarray(image), jnp.arange(4.0)[:, None], jnp.array(0.1))
+
+
+def numbers(clip):
+    return np.round(np.asarray(clip.frames[..., 0, 0, 0]) * 255).astype(int)
+
+
+def test_later_frames_follow_the_two_given_ones_in_order(data):
+    sampler = StartAndLater(batch=64, horizon=6, later=3)
+    clip = sampler(data, jax.random.key(0), jnp.array(3))
+    index = np.asarray(clip.index)
+    assert clip.span == 6
+    np.testing.assert_array_equal(index[:, :2], np.tile([0, 1], (64, 1)))
+    assert (np.diff(index, axis=1) > 0).all() and index.max() == 5
+    seen = numbers(clip)
+    np.testing.assert_array_equal(seen - seen[:, :1], index)
+    np.testing.assert_array_equal(np.asarray(clip.u)[:, 0], seen[:, 0] // 10)
+    assert set(seen[:, 0] % 10) == set(range(5))  # every start that leaves room for the horizon
+
+
+def test_an_epoch_visits_every_trajectory_once(data):
+    sampler = WholeTrajectories(10)
+    order = [int(numbers(sampler(data, jax.random.key(1), jnp.array(k)))[0, 0]) // 10 for k in range(8)]
+    assert sorted(order[:4]) == sorted(order[4:]) == [0, 1, 2, 3]
+
+
+def test_a_step_number_decides_its_clips(data):
+    sampler = RandomFrames(32)
+    draw = [numbers(sampler(data, jax.random.key(0), jnp.array(k))) for k in (5, 5, 6)]
+    np.testing.assert_array_equal(draw[0], draw[1])
+    assert (draw[0] != draw[2]).any()
+
+
+def test_too_short_trajectories_are_named(data):
+    with pytest.raises(KeycldError, match="10 frames but this recipe samples clips of 12"):
+        Windows(2, 12).check(data)
+
+
+class Model(eqx.Module):
+    """Two groups of parameters."""
+
+    moving: jax.Array
+    still: jax.Array
+
+
+def squares(model, clips, *, key):
+    loss = jnp.sum((model.moving - 3.0) ** 2) + jnp.sum(model.still**2)
+    return loss, {"squares": loss}
+
+
+def stage(**changes):
+    settings = {
+        "name": "s",
+        "steps": 20,
+        "sampler": RandomFrames(2),
+        "loss": squares,
+        "rates": {"moving": 0.1},
+    }
+    return Stage(**(settings | changes))
+
+
+def test_only_named_groups_move(data):
+    model = Model(jnp.zeros(2), jnp.ones(3))
+    progress, rest = begin(stage(), model)
+    run = make_step(stage(), 0, 0, model, 20)
+    progress, terms = run((rest, data), progress)
+    trained = eqx.combine(progress.parameters, rest)
+    assert float(jnp.abs(trained.moving).min()) > 1.0
+    np.testing.assert_array_equal(trained.still, 1.0)
+    assert terms["loss"].shape == (20,) and int(progress.step) == 20
+
+
+def test_several_steps_a_dispatch_are_the_same_steps(data):
+    model = Model(jnp.zeros(2), jnp.ones(3))
+    ends = []
+    for chunk in (1, 5):
+        progress, rest = begin(stage(), model)
+        run = make_step(stage(), 0, 0, model, chunk)
+        for _ in range(20 // chunk):
+            progress, _ = run((rest, data), progress)
+        ends.append(progress.parameters.moving)
+    np.testing.assert_allclose(ends[0], ends[1], rtol=1e-6)
+
+
+def test_forgetful_adam_is_sign_descent(data):
+    """The released code's fault: every step has the size of the rate, whatever the gradient's."""
+    model = Model(jnp.array([0.0, -500.0]), jnp.ones(3))
+    faulty = stage(optimiser=forgetful(optax.adam))
+    progress, rest = begin(faulty, model)
+    run = make_step(faulty, 0, 0, model, 10)
+    progress, _ = run((rest, data), progress)
+    np.testing.assert_allclose(progress.parameters.moving - model.moving, 1.0, rtol=1e-4)
+
+
+def test_something_not_finite_is_named_and_not_trained_on(data):
+    def breaks(model, clips, *, key):
+        loss = jnp.sum(model.moving**2) + jnp.sum(jnp.sqrt(model.still - 1.0))
+        return loss, {"fine": jnp.sum(model.moving**2), "root": loss}
+
+    model = Model(jnp.full(2, 3.0), jnp.ones(3))  # the root's slope at zero is infinite
+    broken = stage(loss=breaks, rates={"moving": 0.1, "still": 0.1})
+    progress, rest = begin(broken, model)
+    run = make_step(broken, 0, 0, model, 5)
+    progress, _ = run((rest, data), progress)
+    assert not bool(progress.healthy)
+    np.testing.assert_array_equal(progress.parameters.moving, 3.0)
+    error = str(diagnose(broken, 0, 0, progress, rest, data))
+    assert "step 0 of stage 's'" in error and "still" in error and "moving" not in error
+
+
+def test_the_broken_loss_term_is_named(data):
+    def breaks(model, clips, *, key):
+        bad = jnp.log(model.moving[0])
+        return bad, {"logarithm": bad, "fine": jnp.array(0.0)}
+
+    broken = stage(loss=breaks)
+    progress, rest = begin(broken, Model(jnp.zeros(2), jnp.ones(3)))
+    assert "loss term logarithm" in str(diagnose(broken, 0, 0, progress, rest, data))
+
+
+def test_schedule_rises_then_falls():
+    schedule = warmup_cosine(1.0, 100, warmup=0.1, final=0.02)
+    rates = [float(schedule(k)) for k in (0, 10, 55, 100)]
+    assert rates[0] == 0 and rates[1] == pytest.approx(1) and 0.4 < rates[2] < 0.6
+    assert rates[3] == pytest.approx(0.02)
+
+
+def test_settings_are_checked():
+    assert make_recipe("fast", {"horizons": [8], "sigma": 1}).settings()["sigma"] == 1.0
+    with pytest.raises(KeycldError, match="did you mean 'vision_steps'"):
+        make_recipe("fast", {"vision_step": 3})
+    with pytest.raises(KeycldError, match="takes a int"):
+        make_recipe("fast", {"vision_steps": "many"})
+    with pytest.raises(KeycldError, match="unknown preset 'fsat'.*did you mean 'fast'"):
+        make_recipe("fsat", {})
