@@ -55,7 +55,7 @@ class PaperRecipe(AbstractRecipe):
             dynamics=AdaptiveDynamics(law),
             renderer=Renderer(
                 PaperUNet(self.width, 3, self.width, key=keys[3]),
-                jax.random.normal(keys[4], features),
+                0.01 * jax.random.normal(keys[4], features),  # the default of the initialiser that A.4 names
                 None,
                 1,
                 self.sigma,
