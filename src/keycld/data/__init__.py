@@ -1,3 +1,6 @@
+"""Trajectories on disk: format, validator, the papers' protocols, import of videos."""
+
+from keycld.data.check import check as check
 from keycld.data.clips import AbstractSampler as AbstractSampler
 from keycld.data.clips import Clip as Clip
 from keycld.data.clips import RandomFrames as RandomFrames
@@ -5,3 +8,40 @@ from keycld.data.clips import Resident as Resident
 from keycld.data.clips import StartAndLater as StartAndLater
 from keycld.data.clips import WholeTrajectories as WholeTrajectories
 from keycld.data.clips import Windows as Windows
+from keycld.data.dataset import DataSet as DataSet
+from keycld.data.dataset import open_data as open_data
+from keycld.data.importing import import_video as import_video
+from keycld.data.make import Made as Made
+from keycld.data.make import Progress as Progress
+from keycld.data.make import make_data as make_data
+from keycld.data.movies import show as show
+from keycld.data.protocols import PROTOCOLS as PROTOCOLS
+from keycld.data.statistics import image_statistics as image_statistics
+from keycld.data.store import Trajectories as Trajectories
+from keycld.data.store import read as read
+from keycld.data.store import write as write
+from keycld.data.sweeps import Sweep as Sweep
+
+__all__ = [
+    "PROTOCOLS",
+    "AbstractSampler",
+    "Clip",
+    "DataSet",
+    "Made",
+    "Progress",
+    "RandomFrames",
+    "Resident",
+    "StartAndLater",
+    "Sweep",
+    "Trajectories",
+    "WholeTrajectories",
+    "Windows",
+    "check",
+    "image_statistics",
+    "import_video",
+    "make_data",
+    "open_data",
+    "read",
+    "show",
+    "write",
+]

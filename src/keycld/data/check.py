@@ -18,11 +18,10 @@ def check(path: str | Path) -> list[str]:
     if path.is_dir():
         return list(_check_folder(path))
     try:
-        file = open_file(path)
+        with open_file(path) as file:
+            problems = check_structure(file) or check_images(file)
     except KeycldError as error:
         return [str(error)]
-    with file:
-        problems = check_structure(file) or check_images(file)
     return [f"{path}: {problem}" for problem in problems]
 
 

@@ -158,9 +158,7 @@ def _starts(data: Resident, key: PRNGKeyArray, batch: int, span: int) -> tuple[A
     )
 
 
-def _gather(
-    data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool
-) -> Clip:
+def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool) -> Clip:
     rows, columns = trajectory[:, None], start[:, None] + index
     held = start[:, None] + jnp.arange(span)[None, :]
     u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]

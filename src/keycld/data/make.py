@@ -1,261 +1,214 @@
-"""Makes a data set: every split of a protocol and the sweeps, in parallel, to be resumed after any interruption."""
+"""Makes a data set: every split of a protocol and the sweeps, in parallel, to be taken up when interrupted."""
 
-import contextlib
 import json
-import os
 import shutil
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any, NamedTuple
 
 from keycld import __version__
 from keycld._errors import KeycldError
-from keycld.data.atomic import atomic, writing_error
-from keycld.data.card import write_card
-from keycld.data.parts import PART_FRAMES, make_part, make_sweep_part
+from keycld.data.atomic import make_folder, write_text
+from keycld.data.dataset import PARTIAL
+from keycld.data.finish import finish
+from keycld.data.parts import make_part
 from keycld.data.protocols import Split, splits
-from keycld.data.statistics import statistics, write_statistics
-from keycld.data.store import Trajectories, write
-from keycld.systems import AbstractSystem, get, run_in_processes
+from keycld.data.statistics import read_statistics
+from keycld.data.store import join, read
+from keycld.data.sweeps import make_sweeps
+from keycld.systems import AbstractSystem, Task, get, run_in_processes
 
-PARTIAL = ".partial"
+# Frames of a part: some seconds of drawing on a CPU, the most that a kill loses.
+_PART_FRAMES = 500
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a long job is: `done` of `total` frames after `seconds`, and what is being done."""
+    """How far a long job is.
+
+    Attributes:
+        done: frames that exist.
+        fresh: frames of these drawn in this call; `fresh / seconds` is the speed.
+        total: frames of the whole set.
+        seconds: since the call.
+    """
 
     done: int
+    fresh: int
     total: int
     seconds: float
-    what: str
 
 
 @dataclass(frozen=True)
 class Made:
     """The outcome of `make_data`.
 
-    **Fields:** `folder`; `fresh`: False where the finished data was there already; `seconds`; `frames` drawn now
-    (fewer than the set's after a resumed interruption); `renderer`: what drew them.
+    Attributes:
+        folder: where the data lie.
+        fresh: frames drawn in this call; 0 where all of the data were there already.
+        seconds: of this call.
+        renderer: what drew the pictures, for example the GL renderer's name.
     """
 
     folder: Path
-    fresh: bool
+    fresh: int
     seconds: float
-    frames: int
     renderer: str
+
+
+class _Part(NamedTuple):
+    split: str
+    frames: int
+    path: Path
+    task: Task
 
 
 def make_data(
     system: str | AbstractSystem,
-    out: str | os.PathLike | None = None,
+    out: str | Path | None = None,
     *,
     protocol: str = "keycld-2022",
-    control: Literal["none", "under", "full"] | None = None,
-    start: Literal["rest", "random"] | None = None,
+    control: str | None = None,
+    start: str | None = None,
     clip: bool | None = None,
     runs: Mapping[str, int] | None = None,
     frames: Mapping[str, int] | None = None,
     workers: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Made:
-    """Make the data set of a system.
+    """Make the data set of a system (KeyCLD, appendix A.6; `docs/data.md`).
 
-    The same arguments give the same simulated numbers, whatever `workers` is and however often it was interrupted;
-    pictures depend on the GL driver too. Interrupted work lies in `OUT/.partial` and is taken up by the same call.
+    The same arguments give the same numbers, however many workers there are and however often it is
+    interrupted; pictures depend on the GL driver too. What is done lies in `OUT/.partial` until all is, and
+    the same call takes it up. Finished data are left as they are.
 
-    **Arguments:**
+    Args:
+        system: a name of `keycld.systems.names()`, or a system.
+        out: the folder; by default `data/NAME`.
+        protocol: `"keycld-2022"` (arXiv v1) or `"keycld-2024"` (journal version).
+        control: which inputs act, instead of the protocol's choice; not in test_long, where none does.
+        start: how runs start, instead of the protocol's choice; not in test_long.
+        clip: whether the motors limit the input, instead of the protocol's choice.
+        runs: numbers of runs by split, for small sets: `{"train": 2, "test": 1}`.
+        frames: numbers of frames of a run by split.
+        workers: renderer processes, at most four; by default one a core.
+        progress: called after each part.
 
-    - `system`: a name of `keycld.systems.names()`, or a system.
-    - `out`: the folder (default `data/NAME`).
-    - `protocol`: `"keycld-2022"` (arXiv v1) or `"keycld-2024"` (journal version).
-    - `control`, `start`, `clip`: replace the protocol's conditions in train, validation and test.
-    - `runs`, `frames`: numbers by split (`{"train": 2, ...}`), for small sets.
-    - `workers`: renderer processes, at most four (default: one a core).
-    - `progress`: called after each part.
+    Raises:
+        KeycldError: an unknown name or a bad number; a folder that cannot be written, or that holds other
+        data; a full disk; no GL.
 
-    **Raises:** `KeycldError` for unknown names, a folder that cannot be written or holds other data, a full disk, no GL.
-
-    **Good values:** the defaults; 52,900 frames take about two and a half minutes on two cores without a GPU.
+    Good values: the defaults. 52,900 frames take two to three minutes on two cores without a GPU.
     """
+    began = time.monotonic()
     system = get(system) if isinstance(system, str) else system
     folder = Path(out) if out is not None else Path("data") / system.name
     plan = splits(protocol, control=control, start=start, clip=clip, runs=runs, frames=frames)
     for split in plan:
         system.check(split.conditions)
-    recipe = json.loads(
-        json.dumps({"system": system.name, "protocol": protocol, "splits": [asdict(split) for split in plan]})
-    )
-    finished = _finished_recipe(folder)
-    if finished is not None:
-        _same(recipe, finished, folder)
-        return Made(folder, False, 0.0, 0, "")
-    began = time.monotonic()
+    described = [asdict(split) for split in plan]
+    recipe = _plain({"system": system.name, "protocol": protocol, "splits": described})
+    if _finished(folder, recipe):
+        shutil.rmtree(folder / PARTIAL, ignore_errors=True)
+        renderer = (read_statistics(folder) or {}).get("renderer", "")
+        return Made(folder, 0, time.monotonic() - began, renderer)
     _begin(folder, recipe)
-    drawn = _make_parts(system, plan, folder / PARTIAL, workers, progress, began)
-    renderer = _assemble(system, plan, protocol, folder)
+    parts = _parts(system, plan, protocol, folder / PARTIAL)
+    fresh = _draw(parts, workers, progress, began)
+    for name in dict.fromkeys(part.split for part in parts):
+        join([part.path for part in parts if part.split == name], folder / f"{name}.h5")
+    renderer = read(parts[0].path, images=False).attributes["renderer"]
     seconds = time.monotonic() - began
-    figures = statistics(folder, [split.name for split in plan])
-    write_statistics(folder, {**figures, "recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1)})
-    write_card(folder, system)
+    made = {"recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1), "frames_drawn": fresh}
+    finish(folder, made)
     shutil.rmtree(folder / PARTIAL)
-    return Made(folder, True, seconds, drawn, renderer)
+    return Made(folder, fresh, time.monotonic() - began, renderer)
 
 
-def _read_recipe(path: Path) -> dict[str, Any] | None:
-    try:
-        return json.loads(path.read_text())
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        raise KeycldError(f"{path} is damaged ({error}): delete {path.parent} and make the data again.") from error
+def _plain(value: Any) -> Any:
+    """The value as JSON gives it back (tuples become lists), so that it can be compared."""
+    return json.loads(json.dumps(value))
 
 
-def _finished_recipe(folder: Path) -> dict[str, Any] | None:
-    if (folder / PARTIAL).exists():
-        return None
-    stored = _read_recipe(folder / "statistics.json")
-    return None if stored is None else stored.get("recipe", {})
+def _finished(folder: Path, recipe: dict[str, Any]) -> bool:
+    """Whether the folder holds these very data; raises where it holds others."""
+    found = read_statistics(folder)
+    if found is None:
+        return False
+    _same(recipe, found.get("recipe"), folder)
+    names = [split["name"] for split in recipe["splits"]] + ["sweeps"]
+    return all((folder / f"{name}.h5").exists() for name in names)
 
 
-def _same(wanted: Any, found: Any, folder: Path) -> None:
+def _same(wanted: dict[str, Any], found: Any, folder: Path) -> None:
     if wanted == found:
         return
-    changed = [key for key in wanted if not isinstance(found, dict) or wanted[key] != found.get(key)]
+    other = found if isinstance(found, dict) else {}
+    changed = [key for key in wanted if wanted[key] != other.get(key)]
+    if changed == ["splits"]:
+        changed = _changed_settings(wanted["splits"], other.get("splits", []))
     raise KeycldError(
-        f"{folder} holds data made with another {' and '.join(changed)}: choose another folder, or delete it first."
+        f"{folder} holds data made with another {' and '.join(changed)}: choose another folder, or delete it."
     )
+
+
+def _changed_settings(wanted: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]) -> list[str]:
+    """The names of the settings that differ."""
+    changed: list[str] = []
+    for new, old in zip(wanted, found, strict=False):
+        flat_new, flat_old = new | new["conditions"], old | old.get("conditions", {})
+        changed += [key for key in flat_new if key != "conditions" and flat_new[key] != flat_old.get(key)]
+    words = {"seeds": "number of runs", "frames": "number of frames"}
+    return [words.get(key, key) for key in dict.fromkeys(changed)] or ["set of splits"]
 
 
 def _begin(folder: Path, recipe: dict[str, Any]) -> None:
-    partial = folder / PARTIAL
-    started = _read_recipe(partial / "recipe.json")
-    if started is not None:
-        _same(recipe, started, folder)
+    """Claim the folder for these data, or take up what an interrupted call left."""
+    marker = folder / PARTIAL / "recipe.json"
+    if marker.exists():
+        _same(recipe, json.loads(marker.read_text()), folder)
         return
-    taken = [path.name for path in folder.glob("*.h5")]
-    if taken:
-        raise KeycldError(f"{folder} already holds {taken[0]}, which keycld did not finish: choose an empty folder.")
-    try:
-        partial.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise writing_error(partial, error) from error
-    with atomic(partial / "recipe.json") as temporary:
-        temporary.write_text(json.dumps(recipe))
+    taken = sorted(path.name for path in folder.glob("*.h5"))
+    if taken and read_statistics(folder) is None:
+        raise KeycldError(f"{folder} already holds {taken[0]} from elsewhere: choose another folder.")
+    make_folder(marker.parent)
+    (folder / "statistics.json").unlink(missing_ok=True)
+    write_text(marker, json.dumps(recipe))
 
 
-def _parts(split: Split) -> list[tuple[str, tuple[int, ...]]]:
-    size = max(1, PART_FRAMES // split.frames)
-    seeds = range(*split.seeds)
-    return [
-        (f"{split.name}-{first:05d}.npz", tuple(seeds[first : first + size])) for first in range(0, len(seeds), size)
-    ]
-
-
-def _make_parts(
-    system: AbstractSystem,
-    plan: tuple[Split, ...],
-    partial: Path,
-    workers: int | None,
-    progress: Callable[[Progress], None] | None,
-    began: float,
-) -> int:
-    tasks, sizes = [], []
-    for split in plan:
-        for name, seeds in _parts(split):
-            tasks.append((_part, (system, split, seeds, partial / name)))
-            sizes.append(len(seeds) * split.frames)
-    tasks.append((_sweep_part, (system, partial / "sweeps.npz")))
-    sizes.append(sum(len(sweep.state) for sweep in system.sweeps()))
-    open_tasks = [index for index, (_, arguments) in enumerate(tasks) if not arguments[-1].exists()]
-    total, done = sum(sizes), sum(sizes) - sum(sizes[index] for index in open_tasks)
-    drawn = 0
-    for position, frames in run_in_processes(
-        _call, [tasks[index] for index in open_tasks], workers=workers
-    ):
-        done, drawn = done + frames, drawn + frames
-        if progress is not None:
-            what = tasks[open_tasks[position]][1][-1].stem
-            progress(Progress(done, total, time.monotonic() - began, what))
-    return drawn
-
-
-def _call(function: Callable[..., int], arguments: tuple) -> int:
-    return function(*arguments)
-
-
-_part, _sweep_part = make_part, make_sweep_part
-
-
-def _attributes(system: AbstractSystem, protocol: str, renderer: str) -> dict[str, Any]:
-    return {
+def _parts(system: AbstractSystem, plan: Sequence[Split], protocol: str, partial: Path) -> list[_Part]:
+    attributes = {
         "system": system.name,
         "dt": system.dt,
         "state_names": system.state_names,
         "units": system.units,
         "input_names": system.input_names,
-        "keypoints": system.keypoints,
         "generator": f"keycld {__version__}",
-        "renderer": renderer,
         "protocol": protocol,
     }
-
-
-def _assemble(system: AbstractSystem, plan: tuple[Split, ...], protocol: str, folder: Path) -> str:
-    renderer = ""
+    parts = []
     for split in plan:
-        loaded = [np.load(folder / PARTIAL / name) for name, _ in _parts(split)]
-
-        def joined(name: str, loaded=loaded) -> np.ndarray:
-            return np.concatenate([part[name] for part in loaded])
-
-        renderer = json.loads(loaded[0]["renderer"].item())
-        attributes = _attributes(system, protocol, renderer)
-        for key, value in asdict(split.conditions).items():
-            attributes[key] = value
-        write(
-            folder / f"{split.name}.h5",
-            Trajectories(
-                time=loaded[0]["time"],
-                input=joined("input").astype(np.float32),
-                image=joined("image"),
-                state=joined("state"),
-                state_derivative=joined("state_derivative"),
-                parameters={"seed": joined("seed"), "draws": joined("draws")},
-                attributes={**attributes, "seed": split.seeds[0]},
-            ),
-        )
-    _write_sweeps(system, folder, _attributes(system, protocol, renderer))
-    return renderer
+        size = max(1, _PART_FRAMES // split.frames)
+        for first in range(*split.seeds, size):
+            seeds = tuple(range(first, min(first + size, split.seeds[1])))
+            path = partial / f"{split.name}-{first:05d}.h5"
+            task = Task(make_part, (system, split, seeds, attributes, path))
+            parts.append(_Part(split.name, len(seeds) * split.frames, path, task))
+    path = partial / "sweeps.h5"
+    frames = sum(len(sweep.state) for sweep in system.sweeps())
+    return [*parts, _Part("sweeps", frames, path, Task(make_sweeps, (system, attributes, path)))]
 
 
-def _write_sweeps(system: AbstractSystem, folder: Path, attributes: dict[str, Any]) -> None:
-    sweeps = system.sweeps()
-    lengths = [len(sweep.state) for sweep in sweeps]
-    longest = max(lengths)
-    image = np.load(folder / PARTIAL / "sweeps.npz")["image"]
-    # Shorter paths repeat their last point, so that one array holds all of them.
-    index = np.minimum(np.arange(longest)[None, :], np.array(lengths)[:, None] - 1)
-    starts = np.cumsum([0, *lengths[:-1]])
-    states = np.concatenate([sweep.state for sweep in sweeps])
-    shapes = [(*sweep.shape, 1)[:2] for sweep in sweeps]
-    write(
-        folder / "sweeps.h5",
-        Trajectories(
-            time=np.arange(1, longest + 1) * system.dt,
-            input=np.zeros((len(sweeps), len(system.input_names)), np.float32),
-            image=image[starts[:, None] + index],
-            state=states[starts[:, None] + index],
-            parameters={
-                "name": np.array([sweep.name for sweep in sweeps]),
-                "vary": np.array([",".join(sweep.vary) for sweep in sweeps]),
-                "length": np.array(lengths),
-                "shape": np.array(shapes),
-            },
-            attributes={**attributes, "seed": 0},
-        ),
-    )
+def _draw(
+    parts: Sequence[_Part], workers: int | None, progress: Callable[[Progress], None] | None, began: float
+) -> int:
+    missing = [part for part in parts if not part.path.exists()]
+    total, fresh = sum(part.frames for part in parts), 0
+    already = total - sum(part.frames for part in missing)
+    for index, _ in run_in_processes([part.task for part in missing], workers=workers):
+        fresh += missing[index].frames
+        if progress is not None:
+            progress(Progress(already + fresh, fresh, total, time.monotonic() - began))
+    return fresh

@@ -14,8 +14,8 @@ class Split:
     """Runs of one file.
 
     **Fields:** `name` (the file is NAME.h5); `seeds` `(first, last + 1)`, one generator
-    `numpy.random.RandomState(seed)` a run; `frames` of each run; `conditions`; `screened`: runs that leave the image
-    or turn more than 1 rad between two frames are drawn again from the same generator.
+    `numpy.random.RandomState(seed)` a run; `frames` of each run; `conditions`; `screened`: runs that leave
+    the image or turn more than 1 rad between two frames are drawn again from the same generator.
     """
 
     name: str
@@ -51,8 +51,8 @@ def splits(
 ) -> tuple[Split, ...]:
     """The splits of a protocol.
 
-    **Arguments:** `control`, `start`, `clip` replace the protocol's; `runs`, `frames`: numbers by split, for smaller
-    sets (a run's content depends on its seed and its length only).
+    **Arguments:** `control`, `start`, `clip` replace the protocol's; `runs`, `frames`: numbers by split,
+    for smaller sets (a run's content depends on its seed and its length only).
 
     **Raises:** `KeycldError` for an unknown protocol or split, or a number below 1 run or 3 frames.
     """

@@ -6,6 +6,9 @@ from typing import Any
 import h5py
 import numpy as np
 
+# h5py's items are unions of all that a file may hold, which no type checker can follow.
+File = Any
+
 SCHEMA_VERSION = 1
 _ATTRIBUTES = {
     "schema_version": f"the number {SCHEMA_VERSION}",
@@ -16,15 +19,15 @@ _ATTRIBUTES = {
 _TIME_TOLERANCE = 0.02
 
 
-def check_structure(file: h5py.File) -> list[str]:
+def check_structure(file: File) -> list[str]:
     """What is wrong with all but the pixels of an open file."""
     problems = list(_attribute_problems(file)) + list(_field_problems(file))
-    # Shapes are compared only where every field is there and of the right kind, values only where shapes agree.
+    # Shapes are compared where every field is there and of the right kind, values where shapes agree.
     problems = problems or list(_shape_problems(file))
     return problems or list(_value_problems(file))
 
 
-def _attribute_problems(file: h5py.File) -> Iterator[str]:
+def _attribute_problems(file: File) -> Iterator[str]:
     for name, meaning in _ATTRIBUTES.items():
         if name not in file.attrs:
             yield f"the root attribute '{name}' is missing: add it ({meaning})."
@@ -43,32 +46,32 @@ def _is_number(value: Any) -> bool:
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
 
 
-def _field_problems(file: h5py.File) -> Iterator[str]:
+def _field_problems(file: File) -> Iterator[str]:
     for name, shape in {"time": "[T]", "input": "[N, l] or [N, T, l]"}.items():
         if name not in file:
             yield f"the field '/{name}' is missing: add it with shape {shape}."
     if "image" not in file:
         if "renderer" not in file.attrs or "state" not in file:
             yield (
-                "the field '/image' is missing: add it (uint8 [N, T, H, W, 3]), or '/state' and the attributes "
-                "'renderer' and 'renderer_version' to draw it from."
+                "the field '/image' is missing: add it (uint8 [N, T, H, W, 3]), or '/state' and the "
+                "attributes 'renderer' and 'renderer_version' to draw it from."
             )
-    elif _dataset(file, "image") is None or file["image"].dtype != np.uint8:
+    elif _kind(file["image"]) != "uint8":
         yield f"'/image' is {_kind(file['image'])}, but must be uint8: store grey levels of 0 to 255."
     for name in ("time", "input", "state", "state_derivative"):
-        if name in file and (_dataset(file, name) is None or file[name].dtype.kind not in "fiu"):
+        if name in file and (not _is_real(file[name])):
             yield f"'/{name}' is {_kind(file[name])}, but must hold real numbers: store it as float64."
-
-
-def _dataset(file: h5py.File, name: str) -> h5py.Dataset | None:
-    return file[name] if isinstance(file[name], h5py.Dataset) else None
 
 
 def _kind(item: Any) -> str:
     return str(item.dtype) if isinstance(item, h5py.Dataset) else "a group"
 
 
-def _shape_problems(file: h5py.File) -> Iterator[str]:
+def _is_real(item: Any) -> bool:
+    return isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu"
+
+
+def _shape_problems(file: File) -> Iterator[str]:
     time, given = file["time"].shape, file["input"].shape
     if len(time) != 1 or time[0] < 2:
         yield f"'/time' has the shape {time}, but must be [T] with T of at least 2."
@@ -76,8 +79,8 @@ def _shape_problems(file: h5py.File) -> Iterator[str]:
     frames = time[0]
     if len(given) not in (2, 3) or given[0] < 1 or given[-1] < 1 or (len(given) == 3 and given[1] != frames):
         yield (
-            f"'/input' has the shape {given}, but must be [N, l] or [N, T, l] with T = {frames} as in '/time' and "
-            "l of at least 1 (zeros where nothing drives the motion)."
+            f"'/input' has the shape {given}, but must be [N, l] or [N, T, l] with T = {frames} as in '/time' "
+            "and l of at least 1 (zeros where nothing drives the motion)."
         )
         return
     trajectories = given[0]
@@ -92,7 +95,8 @@ def _shape_problems(file: h5py.File) -> Iterator[str]:
         if name in file and (file[name].ndim != 3 or file[name].shape[:2] != (trajectories, frames)):
             yield f"'/{name}' has the shape {file[name].shape}, but must be [{trajectories}, {frames}, d]."
             return
-    if "state_derivative" in file and ("state" not in file or file["state"].shape != file["state_derivative"].shape):
+    derivative = file["state_derivative"].shape if "state_derivative" in file else None
+    if derivative is not None and ("state" not in file or file["state"].shape != derivative):
         yield "'/state_derivative' must come with a '/state' of the same shape: remove it or add the state."
     yield from _names_problems(file)
     for name, dataset in file.get("parameters", {}).items():
@@ -100,7 +104,7 @@ def _shape_problems(file: h5py.File) -> Iterator[str]:
             yield f"'/parameters/{name}' has the shape {dataset.shape}, but must be [{trajectories}, ...]."
 
 
-def _names_problems(file: h5py.File) -> Iterator[str]:
+def _names_problems(file: File) -> Iterator[str]:
     if "state" not in file:
         return
     for name in ("state_names", "units"):
@@ -111,7 +115,7 @@ def _names_problems(file: h5py.File) -> Iterator[str]:
             )
 
 
-def _value_problems(file: h5py.File) -> Iterator[str]:
+def _value_problems(file: File) -> Iterator[str]:
     for name in ("time", "input", "state", "state_derivative"):
         if name in file:
             yield from _finite(f"/{name}", np.asarray(file[name]))
@@ -124,7 +128,7 @@ def _value_problems(file: h5py.File) -> Iterator[str]:
         return
     if np.any(steps <= 0):
         k = int(np.argmax(steps <= 0))
-        yield f"'/time' does not increase from frame {k} ({time[k]:g} s) to {k + 1} ({time[k + 1]:g} s): sort it."
+        yield f"'/time' falls or stops from frame {k} ({time[k]:g} s) to {k + 1} ({time[k + 1]:g} s): sort it."
     elif np.any(np.abs(steps - dt) > _TIME_TOLERANCE * dt):
         k = int(np.argmax(np.abs(steps - dt)))
         yield (
@@ -144,7 +148,7 @@ def _finite(name: str, values: np.ndarray) -> Iterator[str]:
         )
 
 
-def check_images(file: h5py.File) -> list[str]:
+def check_images(file: File) -> list[str]:
     """Which recordings' pictures cannot be decoded."""
     if "image" not in file:
         return []

@@ -60,8 +60,8 @@ def split_statistics(path: Path) -> dict[str, Any]:
 def image_statistics(image: np.ndarray) -> dict[str, Any]:
     """Mean and deviation of all grey levels, and ε, of `image` uint8 [N, T, H, W, 3].
 
-    ε is the mean squared error of predicting the mean frame, that is the mean over pixels of each one's variance;
-    of the validation split it is the threshold of the valid prediction time (KeyCLD, section 4).
+    ε is the mean squared error of predicting the mean frame, that is the mean over pixels of each one's
+    variance; of the validation split it is the threshold of the valid prediction time (KeyCLD, section 4).
     """
     flat = image.reshape(-1, *image.shape[2:])
     total, squares = np.zeros(flat.shape[1:]), np.zeros(flat.shape[1:])

@@ -1,7 +1,8 @@
 """Trajectories in memory and in one HDF5 file."""
 
+import contextlib
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,8 +14,9 @@ from keycld._errors import KeycldError
 from keycld.data.atomic import atomic
 from keycld.data.rules import SCHEMA_VERSION, check_images, check_structure
 
-# Successive frames are alike and lie within deflate's window of 32 kB: level 4 makes pendulum pictures 28 times
-# smaller at no more time than level 1 (10 times smaller) or LZF (1.5 times). Shuffling does nothing for bytes.
+# Successive frames are alike and lie within deflate's window of 32 kB: level 4 makes pendulum pictures 28
+# times smaller at no more time than level 1 (10 times smaller) or LZF (1.5 times). Shuffling does nothing
+# for bytes.
 _COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 4}
 
 
@@ -23,14 +25,12 @@ class Trajectories:
     """N recordings of T frames; `docs/data-format.md` describes the file that holds them.
 
     Attributes:
-        time: float64 [T], seconds, the same for all recordings.
-        input: float32, [N, l] where it is constant in a recording or [N, T, l], held from frame k to k + 1.
-        image: uint8 [N, T, H, W, 3], or None (a renderer draws from the state, or the pictures were not read).
-        state: float64 [N, T, d] or None; ground truth, for evaluation only.
-        state_derivative: float64 [N, T, d] or None.
-        parameters: arrays [N, ...] by name, constant along a recording.
-        attributes: `schema_version`, `system`, `dt`, `state_names`, `units`, `seed`, `generator`, `protocol`
-            and what else the maker noted.
+        time: float64 [T], seconds, the same for all recordings. input: float32, [N, l] where it is constant
+        in a recording or [N, T, l], held from frame k to k + 1. image: uint8 [N, T, H, W, 3], or None (a
+        renderer draws from the state, or the pictures were not read). state: float64 [N, T, d] or None;
+        ground truth, for evaluation only. state_derivative: float64 [N, T, d] or None. parameters: arrays
+        [N, ...] by name, constant along a recording. attributes: `schema_version`, `system`, `dt`,
+        `state_names`, `units`, `seed`, `generator`, `protocol` and what else the maker noted.
     """
 
     time: np.ndarray
@@ -59,7 +59,8 @@ class Trajectories:
 def write(path: str | Path, trajectories: Trajectories) -> None:
     """Write one HDF5 file: under a temporary name, flushed to the disk, then renamed.
 
-    `read(path)` gives the same arrays back. Where `trajectories` break a rule of the format, nothing is written.
+    `read(path)` gives the same arrays back. Where `trajectories` break a rule of the format, nothing is
+    written.
 
     Raises:
         KeycldError: the contents break the format; the folder cannot be written; the disk is full.
@@ -106,7 +107,7 @@ def _parameter(dataset: h5py.Dataset) -> np.ndarray:
     return np.asarray(dataset)
 
 
-def _load_small(file: h5py.File) -> Trajectories:
+def _load_small(file: Any) -> Trajectories:
     """All but the pictures, in the format's own types."""
 
     def optional(name: str) -> np.ndarray | None:
@@ -122,22 +123,24 @@ def _load_small(file: h5py.File) -> Trajectories:
     )
 
 
-def open_file(path: str | Path) -> h5py.File:
+@contextlib.contextmanager
+def open_file(path: str | Path) -> Iterator[Any]:
     """Open an HDF5 file for reading.
 
     Raises:
-        KeycldError: there is none, it may not be read, or it is truncated.
+        KeycldError: there is none, it may not be read, or it is truncated or damaged, found now or while reading.
     """
     path = Path(path)
     if path.is_dir():
         raise KeycldError(f"{path} is a folder: name one of the .h5 files in it.")
     try:
-        return h5py.File(path, "r")
+        with h5py.File(path, "r") as file:
+            yield file
     except FileNotFoundError:
         raise KeycldError(f"there is no file {path}: check the path.") from None
     except PermissionError:
         raise KeycldError(f"{path} may not be read: change its permissions.") from None
-    except OSError as error:
+    except (OSError, RuntimeError, KeyError) as error:  # h5py raises any of these on damaged bytes
         raise KeycldError(
             f"{path} is not a whole HDF5 file, it is truncated or damaged: copy or make it again ({error})."
         ) from error
@@ -168,7 +171,8 @@ def read(path: str | Path, *, images: bool = True) -> Trajectories:
 def join(parts: Sequence[Path], path: Path) -> None:
     """Write one file with the recordings of several, in their order; the first one's attributes are kept.
 
-    Compressed pictures are copied as they are, one recording at a time, so this needs neither time nor memory.
+    Compressed pictures are copied as they are, one recording at a time, so this needs neither time nor
+    memory.
 
     Raises:
         KeycldError: as `write` and `read`.
@@ -185,21 +189,17 @@ def join(parts: Sequence[Path], path: Path) -> None:
         input=np.concatenate([each.input for each in loaded]),
         state=joined("state"),
         state_derivative=joined("state_derivative"),
-        parameters={
-            name: np.concatenate([each.parameters[name] for each in loaded]) for name in first.parameters
-        },
+        parameters={name: np.concatenate([each.parameters[name] for each in loaded]) for name in first.parameters},
         attributes=first.attributes,
     )
     with atomic(path) as temporary, h5py.File(temporary, "w") as file:
         _write_small(file, everything)
-        with h5py.File(parts[0]) as part:
+        with open_file(parts[0]) as part:
             shape = part["image"].shape[1:]
-        image = file.create_dataset(
-            "image", (len(everything), *shape), np.uint8, chunks=(1, *shape), **_COMPRESSION
-        )
+        image = file.create_dataset("image", (len(everything), *shape), np.uint8, chunks=(1, *shape), **_COMPRESSION)
         position = 0
         for name in parts:
-            with h5py.File(name) as part:
+            with open_file(name) as part:
                 for index in range(len(part["image"])):
                     mask, chunk = part["image"].id.read_direct_chunk((index, 0, 0, 0, 0))
                     image.id.write_direct_chunk((position, 0, 0, 0, 0), chunk, mask)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from keycld.drawing.frames import sheet
 from keycld.drawing.palette import INK
@@ -96,11 +96,13 @@ def curves_figure(
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         _draw(axes, curves, logarithmic)
+        if any(curve.label for curve in curves):
+            axes.legend(loc="best")
         for limit in limits:
             axes.axhline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
             axes.annotate(
-                limit.label, (1.0, limit.value), (-2, 3), xycoords=("axes fraction", "data"),
-                textcoords="offset points", ha="right", va="bottom", color=limit.colour, fontsize=8.5,
+                limit.label, (1.0, limit.value), (3, 0), xycoords=("axes fraction", "data"),
+                textcoords="offset points", ha="left", va="center", color=limit.colour, fontsize=8.5,
             )  # fmt: skip
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
@@ -119,7 +121,7 @@ def panels_figure(
     """Small multiples: one titled panel for each entry, on one horizontal axis.
 
     Args:
-        panels: pairs of a title and the curves under it.
+        panels: pairs of a title and the curves under it; the labels of the first stand above all.
         x_label: below the lowest row.
         columns: panels in a row.
         logarithmic: vertical axes.
@@ -148,6 +150,9 @@ def panels_figure(
             if k + columns >= len(panels):
                 axes.set_xlabel(x_label)
                 axes.tick_params(labelbottom=True)
+        handles, words = grid.flat[0].get_legend_handles_labels()
+        if handles:
+            figure.legend(handles, words, loc="outside upper left", ncols=len(words))
         return figure
 
 
@@ -193,6 +198,7 @@ def map_figure(
     y_label: str,
     value_label: str,
     *,
+    spacings: tuple[float | None, float | None] = (None, None),
     size: tuple[float, float] = (4.6, 3.7),
 ) -> Figure:
     """A function of two variables as colours with contour lines; `values[i, j]` is at (`x[j]`, `y[i]`)."""
@@ -204,6 +210,9 @@ def map_figure(
             axes.contour(x, y, values, levels=8, colors="white", linewidths=0.6, alpha=0.6)
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
+        for axis, spacing in zip((axes.xaxis, axes.yaxis), spacings, strict=True):
+            if spacing is not None:
+                axis.set_major_locator(MultipleLocator(spacing))
         bar = figure.colorbar(mesh, ax=axes, label=value_label, shrink=0.9)
         bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
         return figure
@@ -216,8 +225,9 @@ def strip_figure(
     y_label: str,
     *,
     y_limits: tuple[float, float] | None = None,
-    width: float = 5.4,
-    curve_height: float = 1.7,
+    x_spacing: float | None = None,
+    width: float = 11.0,
+    curve_height: float = 1.8,
 ) -> Figure:
     """Curves with a strip of pictures above them (the layout of the paper's Fig. 8 to 12).
 
@@ -237,6 +247,8 @@ def strip_figure(
         below.set_xlim(start - margin, stop + margin)
         if y_limits is not None:
             below.set_ylim(*y_limits)
+        if x_spacing is not None:
+            below.xaxis.set_major_locator(MultipleLocator(x_spacing))
         below.set_xlabel(x_label)
         below.set_ylabel(y_label)
         return figure
@@ -267,5 +279,3 @@ def _draw(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
     axes.grid(axis="y", color=INK.line, linewidth=0.6, alpha=0.6)
     axes.set_axisbelow(True)
     axes.margins(x=0.01)
-    if any(curve.label for curve in curves):
-        axes.legend(loc="best")

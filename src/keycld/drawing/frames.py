@@ -58,9 +58,7 @@ def side_by_side(
     return np.concatenate(panels, axis=2)
 
 
-def sheet(
-    rows: Sequence[UInt8[np.ndarray, "_ _ _ 3"]], every: int = 6, gap: int = 1
-) -> UInt8[np.ndarray, "H W 3"]:
+def sheet(rows: Sequence[UInt8[np.ndarray, "_ _ _ 3"]], every: int = 6, gap: int = 1) -> UInt8[np.ndarray, "H W 3"]:
     """Every `every`-th frame from left to right, one stack a row: the layout of the paper's Fig. 4.
 
     Args:
@@ -86,9 +84,7 @@ def text_strip(text: str, width: int, height: int = 22) -> UInt8[np.ndarray, "he
     """A dark strip with one centred word."""
     figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0)
     figure.patch.set_facecolor("#{:02x}{:02x}{:02x}".format(*GAP_COLOUR))
-    figure.text(
-        0.5, 0.5, text, ha="center", va="center", color="white", fontsize=min(9.0, 0.3 * height + 2.0)
-    )
+    figure.text(0.5, 0.5, text, ha="center", va="center", color="white", fontsize=min(9.0, 0.3 * height + 2.0))
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     return np.asarray(canvas.buffer_rgba())[:height, :width, :3].copy()

@@ -45,9 +45,7 @@ def references(data: "DataSet") -> References:
     train, validation = data.train(), data.validation()
     for name, trajectories in (("train", train), ("validation", validation)):
         if trajectories.image is None:
-            raise KeycldError(
-                f"scores need pictures, but {name}.h5 of '{data.folder}' has no /image: draw it first."
-            )
+            raise KeycldError(f"scores need pictures, but {name}.h5 of '{data.folder}' has no /image: draw it first.")
     assert train.image is not None and validation.image is not None
     known = train.state is not None and "units" in train.attributes
     return References(

@@ -80,17 +80,13 @@ def evaluate(
     for part, found in predict(model, truth[:, : protocol.given], dt, trajectories.input, horizon, progress):
         errors.append(frame_errors(truth[part], found.frames))
         shown.append(as_uint8(found.frames[: max(0, protocol.shown - part.start), ::stride]))
-        series.append(
-            found.mechanics if found.keypoints is None else {**found.mechanics, "keypoints": found.keypoints}
-        )
+        series.append(found.mechanics if found.keypoints is None else {**found.mechanics, "keypoints": found.keypoints})
     arrays["mse"] = np.concatenate(errors)
     arrays["prediction"] = np.concatenate(shown)
     predicted = {name: np.concatenate([found[name] for found in series]) for name in series[0]}
     free = {
         name: np.asarray(value)
-        for name, value in free_motion(
-            model, truth[:, : protocol.given], dt, trajectories.input, horizon - 1
-        ).items()
+        for name, value in free_motion(model, truth[:, : protocol.given], dt, trajectories.input, horizon - 1).items()
     }
     passed = count * (protocol.given + horizon)
 
@@ -108,15 +104,13 @@ def evaluate(
 
     scores: dict[str, Any] = {
         "protocol": dataclasses.asdict(protocol),
-        "system": data.system_name,
+        "system": data.system,
         "n": count,
         "dt": dt,
         "epsilon": shared.epsilon,
         **_image_scores(arrays["mse"], shared.epsilon, protocol, per_trajectory=True),
         "baselines": {
-            name.removeprefix("baseline_mse_").replace("_", " "): _image_scores(
-                value, shared.epsilon, protocol
-            )
+            name.removeprefix("baseline_mse_").replace("_", " "): _image_scores(value, shared.epsilon, protocol)
             for name, value in arrays.items()
             if name.startswith("baseline_mse_")
         },
@@ -128,6 +122,7 @@ def evaluate(
             scores["drift"]["constraint"] = constraint_drift(predicted["deviation"])
         scores["masses"] = np.asarray(law_of(model).masses).tolist()  # pyright: ignore
     if "keypoints" in predicted:
+        scores["keypoints"] = _names(data, predicted["keypoints"].shape[2])
         watched = observe(model, arrays["truth"].reshape(-1, *truth.shape[2:]), heat_maps=True)
         assert watched is not None and watched[1] is not None
         arrays["observed_keypoints"] = watched[0].reshape(*arrays["truth"].shape[:2], -1, 2)
@@ -140,6 +135,15 @@ def evaluate(
             passed += frames
     scores["frames_passed"] = passed
     return Evaluation(scores, arrays)
+
+
+def _names(data: "DataSet", count: int) -> list[str]:
+    """Names of the model's keypoints; numbers where the data set names others or none."""
+    try:
+        names = list(data.keypoints)
+    except KeycldError:
+        names = []
+    return names if len(names) == count else [f"keypoint {k + 1}" for k in range(count)]
 
 
 def _image_scores(
@@ -166,13 +170,13 @@ def _probe(
     from keycld import systems
 
     validation = data.validation()
-    if data.system_name not in systems.names() or shared.states is None or shared.angles is None:
+    if data.system not in systems.names() or shared.states is None or shared.angles is None:
         return None
     if trajectories.state is None or validation.state is None:
         return None
     fit, seen = (_watch(model, split) for split in (validation, trajectories))
     guesses = shared.states[:: max(1, len(shared.states) // 2000)]
-    probe = fit_probe(systems.get(data.system_name), *fit, guesses, shared.angles)
+    probe = fit_probe(systems.get(data.system), *fit, guesses, shared.angles)
     truth = trajectories.state[:, : predicted.shape[1]]
     scores, arrays = probe_scores(probe, fit, seen, (predicted, truth))
     return scores, arrays, len(fit[0]) + len(seen[0])

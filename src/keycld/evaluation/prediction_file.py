@@ -48,9 +48,7 @@ def predict_file(
         raise KeycldError(f"'{out}' is the data itself: give another file for the predictions.")
     with h5py.File(data_file) as file, replacing(out) as temporary, h5py.File(temporary, "w") as target:
         if "image" not in file:
-            raise KeycldError(
-                f"'{data_file}' has no /image, so there is nothing to predict from: draw it first."
-            )
+            raise KeycldError(f"'{data_file}' has no /image, so there is nothing to predict from: draw it first.")
         images = file["image"]
         assert isinstance(images, h5py.Dataset)
         for name, value in file.attrs.items():

@@ -38,9 +38,7 @@ def load_evaluation(folder: str | Path, name: str) -> Evaluation:
         with np.load(path.with_suffix(".npz"), allow_pickle=False) as archive:
             return Evaluation(scores, dict(archive))
     except FileNotFoundError as error:
-        raise KeycldError(
-            f"no result '{name}' in '{folder}': run `keycld eval` on this run first."
-        ) from error
+        raise KeycldError(f"no result '{name}' in '{folder}': run `keycld eval` on this run first.") from error
     except Exception as error:
         raise KeycldError(f"the result '{path}' is damaged ({error}): run `keycld eval` again.") from error
 

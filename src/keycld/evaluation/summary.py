@@ -31,12 +31,9 @@ def summary(scores: Mapping[str, Any]) -> str:
     )
     if "state" in scores:
         last = ", ".join(
-            f"{each['name']} {_number(each['last_median'])} {each['unit']}"
-            for each in scores["state"]["coordinates"]
+            f"{each['name']} {_number(each['last_median'])} {each['unit']}" for each in scores["state"]["coordinates"]
         )
-        lines.append(
-            f"  keypoint residual {_number(scores['state']['residual'])}; median error at the end: {last}"
-        )
+        lines.append(f"  keypoint residual {_number(scores['state']['residual'])}; median error at the end: {last}")
     if "drift" in scores:
         drift = [f"energy {_number(scores['drift']['energy']['mean'])}"]
         if "constraint" in scores["drift"]:

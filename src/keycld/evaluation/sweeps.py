@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld._errors import KeycldError
 from keycld.evaluation.evaluate import Evaluation
 from keycld.evaluation.predicting import law_of, observe
 from keycld.models import AbstractModel
@@ -31,41 +30,35 @@ def evaluate_sweeps(model: AbstractModel, data: "DataSet") -> Evaluation:
     something, its level does not.
 
     Returns:
-        An `Evaluation`, empty for models without keypoints or energies. Its scores hold the range of V over
-        each path. Its arrays: `names`, `vary` (names of the states that change, joined by commas) and
-        `units` (theirs, likewise), one a path; and for each NAME of length n: `NAME/values [n, …]` of those
-        states, `NAME/shape`, `NAME/potential [n]`, `NAME/keypoints [n, K, 2]`, `NAME/image [n, H, W, 3]`
-        and `NAME/heat_maps [n, K, …]`.
+        An `Evaluation`, empty for models without keypoints or energies and for data without sweeps. Its
+        scores hold the range of V over each path. Its arrays: `names`, `vary` (names of the states that
+        change, joined by commas) and `units` (theirs, likewise), one a path; and for each NAME of length n:
+        `NAME/values [n, …]` of those states, `NAME/shape`, `NAME/potential [n]`, `NAME/keypoints [n, K,
+        2]`, `NAME/image [n, H, W, 3]` and `NAME/heat_maps [n, K, …]`.
 
-    Raises:
-        KeycldError: the data set has no pictures along paths.
     """
-    if law_of(model) is None:
-        return Evaluation({}, {})
     sweeps = data.sweeps()
-    if sweeps.image is None or sweeps.state is None:
-        raise KeycldError(f"sweeps.h5 of '{data.folder}' needs /image and /state: make the data set again.")
-    state_names, units = (list(sweeps.attributes[name]) for name in ("state_names", "units"))
-    names, vary = (np.asarray(sweeps.parameters[name], dtype=np.str_) for name in ("name", "vary"))
-    columns = [[state_names.index(each) for each in joined.split(",")] for joined in vary]
+    if law_of(model) is None or not sweeps:
+        return Evaluation({}, {})
+    state_names, state_units = (list(data.attributes[name]) for name in ("state_names", "units"))
+    columns = [[state_names.index(each) for each in sweep.vary] for sweep in sweeps]
+    names = [sweep.name for sweep in sweeps]
     arrays: dict[str, np.ndarray] = {
-        "names": names,
-        "vary": vary,
-        "units": np.array([",".join(units[c] for c in picked) for picked in columns]),
+        "names": np.array(names),
+        "vary": np.array([",".join(sweep.vary) for sweep in sweeps]),
+        "units": np.array([",".join(state_units[column] for column in picked) for picked in columns]),
     }
-    for k, name in enumerate(names):
-        length = int(sweeps.parameters["length"][k])
-        image = sweeps.image[k, :length]
-        seen = observe(model, image, heat_maps=True)
+    for sweep, picked in zip(sweeps, columns, strict=True):
+        seen = observe(model, sweep.image, heat_maps=True)
         if seen is None or seen[1] is None:
             return Evaluation({}, {})
         arrays |= {
-            f"{name}/values": sweeps.state[k, :length][:, columns[k]],
-            f"{name}/shape": np.asarray(sweeps.parameters["shape"][k]),
-            f"{name}/potential": np.asarray(_potential(model, jnp.asarray(seen[0]))),
-            f"{name}/keypoints": seen[0],
-            f"{name}/heat_maps": seen[1],
-            f"{name}/image": image,
+            f"{sweep.name}/values": sweep.state[:, picked],
+            f"{sweep.name}/shape": np.array(sweep.shape),
+            f"{sweep.name}/potential": np.asarray(_potential(model, jnp.asarray(seen[0]))),
+            f"{sweep.name}/keypoints": seen[0],
+            f"{sweep.name}/heat_maps": seen[1],
+            f"{sweep.name}/image": sweep.image,
         }
-    ranges = {str(name): float(np.ptp(arrays[f"{name}/potential"])) for name in names}
+    ranges = {name: float(np.ptp(arrays[f"{name}/potential"])) for name in names}
     return Evaluation({"potential_range": ranges}, arrays)

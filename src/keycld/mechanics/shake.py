@@ -14,7 +14,7 @@ from keycld.mechanics.linear import factor, gram, substitute, times
 from keycld.mechanics.state import Motion, Scalar
 
 
-_LARGEST_TURN = 0.8
+_LARGEST_TURN = 0.5
 """Radians that a drift may turn a part by; beyond 90° there is no solution."""
 
 
@@ -44,11 +44,12 @@ def constrained_drift(
             "add law.constraint(x, parameters) of the start."
         )
     pull = law.inverse_mass[None, :] * jacobian
-    offset = parameters["constants"] - law.constraint(x, parameters)
+    value = law.constraint(x, parameters)
+    offset = parameters["constants"] - value
     share, multipliers, newton = jax.lax.stop_gradient(
         _multipliers(law, *jax.lax.stop_gradient((x, v, jacobian, pull, offset)), parameters, h, iterations)
     )
-    target = parameters["constants"] - (1 - share) * offset
+    target = value + share * offset
     v = share * v + times(pull.T, multipliers)
     v = v + times(pull.T, substitute(newton, target - law.constraint(x + h * v, parameters))) / h
     return Motion(x + h * v, v)

@@ -23,7 +23,10 @@ _NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
 
 
 def error_figure(result: Evaluation) -> Figure:
-    """MSE over time with a band of 10th to 90th percentile, baselines and ε (the paper's Fig. 3)."""
+    """MSE over time with a band of 10th to 90th percentile, baselines and ε (the paper's Fig. 3).
+
+    The mean image is not drawn: its error is ε.
+    """
     errors = _finite(result.arrays["mse"])
     frames = np.arange(errors.shape[1])
     curves = [
@@ -32,8 +35,10 @@ def error_figure(result: Evaluation) -> Figure:
             low=np.quantile(errors, 0.1, axis=0), high=np.quantile(errors, 0.9, axis=0),
         )
     ]  # fmt: skip
-    colours = (INK.three, INK.two, INK.four)
-    for colour, name in zip(colours, result.scores["baselines"], strict=False):
+    colours = {"frozen frame": INK.two, "constant acceleration": INK.four}
+    for name, colour in colours.items():
+        if name not in result.scores["baselines"]:
+            continue
         baseline = result.arrays[f"baseline_mse_{name.replace(' ', '_')}"]
         curves.append(Curve(frames, baseline.mean(axis=0), name, colour, dashed=True))
     limit = Limit(result.scores["epsilon"], "ε")
@@ -82,19 +87,19 @@ def energy_figure(result: Evaluation) -> Figure:
         kinetic, potential = result.arrays["free_kinetic"][n], result.arrays["free_potential"][n]
         potential = potential - potential.min()
         curves = [
-            Curve(time, kinetic, "kinetic T" if n == 0 else "", INK.two),
-            Curve(time, potential, "potential V" if n == 0 else "", INK.one),
-            Curve(time, kinetic + potential, "T + V" if n == 0 else "", INK.text),
+            Curve(time, kinetic, "kinetic energy T", INK.two),
+            Curve(time, potential, "potential energy V", INK.one),
+            Curve(time, kinetic + potential, "T + V", INK.text),
         ]
         panels.append((f"recording {n + 1}", curves))
     return panels_figure(panels, "seconds", columns=3, panel_size=(3.6, 2.5))
 
 
 def deviation_figure(result: Evaluation) -> Figure:
-    """Largest |Φ(x) − constants| along the roll-outs that are shown."""
-    deviation = np.maximum(result.arrays["deviation"], 1e-9)
-    curves = [Curve(result.arrays["time"], each, colour=INK.one) for each in deviation]
-    return curves_figure(curves, "seconds", "|Φ(x) − constant|", logarithmic=True, size=(5.4, 2.5))
+    """Largest |Φ(x) − constants| of the roll-outs that are shown, over time."""
+    deviation = np.maximum(result.arrays["deviation"].max(axis=0), 1e-9)
+    curve = Curve(result.arrays["time"], deviation)
+    return curves_figure([curve], "seconds", "|Φ(x) − constant|", logarithmic=True, size=(5.4, 2.5))
 
 
 def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figure]]:
@@ -114,7 +119,8 @@ def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figu
             rows, columns = sweeps[f"{name}/shape"]
             table = (potential - potential.min()).reshape(rows, columns)
             axes = values.reshape(rows, columns, 2)
-            figure = map_figure(table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "V")
+            down, right = (90.0 if label.endswith("degrees") else None for label in labels)
+            figure = map_figure(table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "V", spacings=(right, down))
         elif name == "grid":
             continue  # the same path again, with fewer points
         else:
@@ -123,9 +129,7 @@ def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figu
     return found
 
 
-def _path_figure(
-    sweeps: Mapping[str, np.ndarray], name: str, values: np.ndarray, label: str, span: float
-) -> Figure:
+def _path_figure(sweeps: Mapping[str, np.ndarray], name: str, values: np.ndarray, label: str, span: float) -> Figure:
     picked = np.round(np.linspace(0, len(values) - 1, 9)).astype(int)
     keypoints = sweeps[f"{name}/keypoints"][picked]
     pictures = overlay_keypoints(sweeps[f"{name}/image"][picked], keypoints, scale=3)
@@ -133,12 +137,11 @@ def _path_figure(
     middle = 0.5 * (potential.max() + potential.min())
     curve = Curve(values, potential - middle)
     limits = (-0.58 * span, 0.58 * span)
-    return strip_figure([curve], pictures, label, "V", y_limits=limits if span > 0 else None)
+    spacing = 45.0 if label.endswith("degrees") else None
+    return strip_figure([curve], pictures, label, "V", y_limits=limits if span > 0 else None, x_spacing=spacing)
 
 
-def _in_degrees(
-    values: np.ndarray, names: Sequence[str], units: Sequence[str]
-) -> tuple[np.ndarray, list[str]]:
+def _in_degrees(values: np.ndarray, names: Sequence[str], units: Sequence[str]) -> tuple[np.ndarray, list[str]]:
     turning = np.array([unit == "rad" for unit in units])
     shown = ["degrees" if unit == "rad" else unit for unit in units]
     return np.where(turning, np.degrees(values), values), [
@@ -154,10 +157,7 @@ def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
     panels = []
     for name in names:
         lines = [line for line in metrics if _is_term(name, line.get(name))]
-        minutes = np.array([line.get("seconds", line["step"]) for line in lines], float) / 60.0
-        panels.append(
-            (name.replace("_", " "), [Curve(minutes, np.array([line[name] for line in lines], float))])
-        )
+        panels.append((name.replace("_", " "), [_curve_of(lines, name)]))
     if not panels:
         return None
     marks, seen = [], None
@@ -165,14 +165,27 @@ def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
         if line.get("stage") != seen:
             seen = line.get("stage")
             marks.append((float(line.get("seconds", line["step"])) / 60.0, str(seen)))
-    figure = panels_figure(panels, "minutes", columns=3, marks=_apart(marks))
+    figure = panels_figure(panels, "minutes", columns=3, marks=_apart(marks), panel_size=(3.7, 2.1))
     for axes, (name, curves) in zip(figure.axes, panels, strict=False):
-        y = curves[0].y
+        y = curves[0].y[np.isfinite(curves[0].y)]
         if "vpt" in name:
             axes.set_ylim(0.0, 1.05)
         elif np.all(y > 0) and y.max() > 5.0 * y.min():
             axes.set_yscale("log")
     return figure
+
+
+def _curve_of(lines: Sequence[Mapping[str, Any]], name: str) -> Curve:
+    """A term over minutes, with a gap where a stage begins unless the stages have one number each."""
+    minutes, values = [], []
+    repeated = len(lines) > len({line.get("stage") for line in lines})
+    for before, line in zip([lines[0], *lines], lines, strict=False):
+        if repeated and line.get("stage") != before.get("stage"):
+            minutes.append(np.nan)
+            values.append(np.nan)
+        minutes.append(line.get("seconds", line["step"]) / 60.0)
+        values.append(float(line[name]))
+    return Curve(np.array(minutes), np.array(values))
 
 
 def _apart(marks: list[tuple[float, str]]) -> list[tuple[float, str]]:

@@ -9,9 +9,7 @@ def keypoints(run: Run) -> str:
     """What the keypoints know of the true state."""
     result = run.headline
     if result is None or "state" not in result.scores:
-        return html.missing(
-            "state", "What the keypoints know", "no true states, or a model without keypoints"
-        )
+        return html.missing("state", "What the keypoints know", "no true states, or a model without keypoints")
     state = result.scores["state"]
     pixel = 2.0 / (min(result.arrays["truth"].shape[2:4]) - 1)
     rows = [
@@ -22,8 +20,7 @@ def keypoints(run: Run) -> str:
     chart = figures.coordinate_figure(result)
     save_figure(run.folder / "media" / "state.png", chart)
     last = "; ".join(
-        f"{html.text(each['name'])} {html.number(each['last_median'])} "
-        f"{html.text(each['unit']).replace('deg', '°')}"
+        f"{html.text(each['name'])} {html.number(each['last_median'])} {html.text(each['unit']).replace('deg', '°')}"
         for each in state["coordinates"]
     )
     note = (
@@ -56,9 +53,7 @@ def _pixels(distance: float | None, pixel: float) -> str:
 def potential(run: Run) -> str:
     """The learned potential energy over the configuration (Fig. 8 to 12)."""
     if run.sweeps is None:
-        return html.missing(
-            "potential", "Learned potential energy", "no sweeps are stored, or the model has no energy"
-        )
+        return html.missing("potential", "Learned potential energy", "no sweeps are stored, or the model has no energy")
     charts, wide = [], []
     for name, vary, figure in figures.sweep_figures(run.sweeps):
         save_figure(run.folder / "media" / f"potential-{name}.png", figure)
@@ -78,7 +73,7 @@ def potential(run: Run) -> str:
         "not act along that coordinate. Compare Fig. 8 to 12 of the paper."
     )
     return html.section(
-        "potential", "Learned potential energy", html.paragraph(note) + html.grid(charts + wide)
+        "potential", "Learned potential energy", html.paragraph(note) + "".join(charts) + html.grid(wide)
     )
 
 
@@ -104,13 +99,13 @@ def conservation(run: Run) -> str:
             "Energies of the model’s own motion, in its own unit; V from its lowest.",
         )
     ]
-    if "deviation" in result.arrays:
+    if "constraint" in drift:
+        worst = drift["constraint"]["worst"]
+        note += f" The constraints, such as the length of a rod, are kept within {html.number(worst)}"
+        note += ", the rounding of single precision." if worst < 1e-6 else "."
+    if "deviation" in result.arrays and not drift["constraint"]["worst"] < 1e-6:
         deviation = figures.deviation_figure(result)
         save_figure(run.folder / "media" / "constraint.png", deviation)
-        note += (
-            " The constraints, such as the length of a rod, are kept within "
-            f"{html.number(drift['constraint']['worst'])}."
-        )
         caption = "How far the predicted motion leaves the constraints."
         parts.append(html.figure(html.chart(deviation, "constraint"), caption))
     return html.section("energy", "Energy along a roll-out", html.paragraph(note) + "".join(parts))
@@ -137,5 +132,6 @@ def masses(run: Run) -> str:
     )
     if len(values) == 1:
         note += " With a single keypoint there is no ratio to learn: its mass only sets the unit."
+        return html.section("masses", "Learned masses", html.paragraph(note))
     head = ["keypoint", f"mass relative to {html.text(names[0])}", "share"]
     return html.section("masses", "Learned masses", html.paragraph(note) + html.table(head, rows, "scores"))

@@ -55,9 +55,7 @@ def read_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     if not (folder / "config.json").exists():
-        raise KeycldError(
-            f"'{folder}' is not a run folder: it has no config.json; train one with `keycld train`."
-        )
+        raise KeycldError(f"'{folder}' is not a run folder: it has no config.json; train one with `keycld train`.")
     names = sorted(path.stem for path in (folder / "evaluation").glob("*.json"))
     results = {name: load_evaluation(folder, name) for name in names}
     scored = {name: result for name, result in results.items() if "protocol" in result.scores}

@@ -21,9 +21,7 @@ def training(run: Run) -> str:
         facts.append(f"{last['cpu_seconds'] / 60:.1f} CPU minutes")
     stages = list(dict.fromkeys(str(line.get("stage")) for line in run.metrics))
     note = f"{', '.join(facts)}, in {len(stages)} stages: {html.text(', '.join(stages))}."
-    chart = html.figure(
-        html.chart(figure, "training"), "Loss terms and scores; hairlines where a stage begins."
-    )
+    chart = html.figure(html.chart(figure, "training"), "Loss terms and scores; hairlines where a stage begins.")
     return html.section("training", "Training", html.paragraph(note) + chart)
 
 

@@ -3,46 +3,45 @@
 import abc
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple, Protocol
+from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
 from keycld._errors import KeycldError
 
 if TYPE_CHECKING:
-    from keycld.mechanics import Constraints
-
-Control = Literal["none", "under", "full"]
-Start = Literal["rest", "random", "released"]
+    import keycld.mechanics
 
 
 @dataclass(frozen=True)
 class Conditions:
     """How runs are driven and started.
 
-    **Fields:**
+    Attributes:
+        control: which inputs act: `"full"`, all; `"under"`, all but the second; `"none"`, no input.
+        start: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal version's, all
+            positions and velocities random; `"released"`, any position, exactly zero velocity.
+        input_limit: u is drawn uniformly from ± this.
+        clip: whether the motors limit u to the system's `input_range`.
 
-    - `control`: which inputs act. `"full"`: all; `"under"`: all but the second; `"none"`: no input.
-    - `start`: `"rest"`: dm_control's reset of its swing-up tasks; `"random"`: the journal version's (all
-      positions and velocities random); `"released"`: any position, exactly zero velocity.
-    - `input_limit`: u is drawn uniformly in ± this.
-    - `clip`: whether the motors limit u to the system's `input_range`.
-
-    **Good values:** the defaults are those of arXiv v1 (2022); the journal version (2024) has
-    `start="random"`, `input_limit=2`, `clip=False`.
+    Good values: the defaults are those of arXiv v1 (2022); the journal version (2024) has `start="random"`,
+    `input_limit=2`, `clip=False`.
     """
 
-    control: Control = "full"
-    start: Start = "rest"
+    control: str = "full"
+    start: str = "rest"
     input_limit: float = 3.0
     clip: bool = True
 
 
 class Run(NamedTuple):
-    """One simulated recording of T frames, without its pictures.
+    """One simulated recording of T frames, without its pictures; all arrays are float64.
 
-    **Fields:** `time [T]` in seconds, `input [l]` (constant in a run), `state [T, d]`, `state_derivative
-    [T, d]` in the units of the system, all float64.
+    Attributes:
+        time: [T], seconds.
+        input: [l], constant in the run, or [T, l].
+        state: [T, d], in the system's units.
+        state_derivative: [T, d].
     """
 
     time: np.ndarray
@@ -54,8 +53,11 @@ class Run(NamedTuple):
 class SweepPath(NamedTuple):
     """States along a path or over a grid of the configuration space, at rest.
 
-    **Fields:** `name`; `state [n, d]`; `shape`, `(n,)` for a path and `(rows, columns)` for a grid, row by
-    row; `vary`, the names of the states that change (one an axis of `shape`).
+    Attributes:
+        name: of the path.
+        state: [n, d].
+        shape: (n,) for a path, (rows, columns) for a grid, stored row by row.
+        vary: names of the states that change, one an axis of `shape`.
     """
 
     name: str
@@ -77,12 +79,17 @@ class Drawer(Protocol):
 class AbstractSystem(abc.ABC):
     """Something that moves and can be watched.
 
-    **Attributes:**
-
-    - `name`; `dt`: seconds between frames; `size`: pixels of a side.
-    - `state_names`, `units`: one a component of the state, all positions first, then all velocities.
-    - `input_names`: one an input; `input_range`: the largest |u| of its motors when they are limited.
-    - `keypoints`: names of the points to watch. `control_modes`, `starts`: the conditions that it knows.
+    Attributes:
+        name: in lower case, one word.
+        dt: seconds between frames.
+        size: pixels of a side.
+        state_names: one a component of the state, all positions first, then all velocities.
+        units: of these, in the same order.
+        input_names: one an input.
+        input_range: the largest |u| of its motors where they are limited.
+        keypoints: names of the points to watch.
+        control_modes: those of `Conditions.control` that it knows.
+        starts: those of `Conditions.start` that it knows.
     """
 
     name: ClassVar[str]
@@ -93,12 +100,12 @@ class AbstractSystem(abc.ABC):
     input_names: ClassVar[tuple[str, ...]]
     input_range: ClassVar[float]
     keypoints: ClassVar[tuple[str, ...]]
-    control_modes: ClassVar[tuple[Control, ...]]
-    starts: ClassVar[tuple[Start, ...]]
+    control_modes: ClassVar[tuple[str, ...]]
+    starts: ClassVar[tuple[str, ...]]
 
     @property
     @abc.abstractmethod
-    def constraints(self) -> "Constraints":
+    def constraints(self) -> "keycld.mechanics.Constraints":
         """The constraints Φ suggested for `keypoints`. Only DΦ matters, so their constants need not fit."""
 
     @abc.abstractmethod
@@ -124,12 +131,9 @@ class AbstractSystem(abc.ABC):
         """Raise `KeycldError` where the system does not know the conditions."""
         if conditions.control not in self.control_modes:
             raise KeycldError(
-                f"{self.name} has no control mode '{conditions.control}': "
-                f"choose from {', '.join(self.control_modes)}."
+                f"{self.name} has no control mode '{conditions.control}': choose from {', '.join(self.control_modes)}."
             )
         if conditions.start not in self.starts:
-            raise KeycldError(
-                f"{self.name} has no start '{conditions.start}': choose from {', '.join(self.starts)}."
-            )
+            raise KeycldError(f"{self.name} has no start '{conditions.start}': choose from {', '.join(self.starts)}.")
         if not (np.isfinite(conditions.input_limit) and conditions.input_limit >= 0):
             raise KeycldError(f"input_limit must be a number of at least 0, not {conditions.input_limit}.")

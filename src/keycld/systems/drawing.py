@@ -26,9 +26,7 @@ def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
     """
     if type(system) not in _OPEN:
         if _OPEN:
-            raise RuntimeError(
-                f"this process draws {next(iter(_OPEN)).name} and cannot draw {system.name} as well"
-            )
+            raise RuntimeError(f"this process draws {next(iter(_OPEN)).name} and cannot draw {system.name} as well")
         drawer = system.drawer()
         _OPEN[type(system)] = drawer.__enter__()
         atexit.register(drawer.__exit__, None, None, None)
@@ -39,7 +37,8 @@ def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
 def draw(system: AbstractSystem, states: np.ndarray) -> Pictures:
     """Pictures of `states [n, d]`, drawn in a process of its own.
 
-    **Raises:** `KeycldError` where no GL context can be made.
+    Raises:
+        KeycldError: no GL context can be made.
     """
     [(_, pictures)] = run_in_processes([Task(draw_in_worker, (system, states))])
     return pictures
@@ -48,7 +47,8 @@ def draw(system: AbstractSystem, states: np.ndarray) -> Pictures:
 def renderer_name() -> str:
     """The GL renderer that MuJoCo's pictures come from, for example `"llvmpipe (LLVM 15.0.6, 256 bits)"`.
 
-    **Raises:** `KeycldError` where MuJoCo is missing or no GL context can be made.
+    Raises:
+        KeycldError: MuJoCo is missing, or no GL context can be made.
     """
     from keycld.systems.registry import get
 

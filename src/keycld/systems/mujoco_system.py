@@ -1,6 +1,7 @@
 """Systems simulated by MuJoCo: the runs of KeyCLD's protocol, from seeds."""
 
 import abc
+import ctypes
 import math
 import os
 import sys
@@ -12,21 +13,42 @@ from typing import Any, ClassVar
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.systems.base import AbstractSystem, Conditions, Control, Drawer, Run, Start
+from keycld.systems.base import AbstractSystem, Conditions, Drawer, Run
 
 # Half of MuJoCo's default vertical field of view, 45 degrees.
 _HALF_VIEW = math.radians(22.5)
 _ZERO_INPUT_PROBABILITY = 0.2
 
 
+def no_gl(error: Exception) -> KeycldError:
+    """The error for a machine on which nothing can draw."""
+    reason = str(error).split(". ")[0].rstrip(".")  # some give a paragraph
+    return KeycldError(
+        f"nothing can draw here, because no OpenGL context could be made ({reason}): on Debian or Ubuntu install "
+        "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; MUJOCO_GL "
+        "chooses another back end."
+    )
+
+
+def _choose_gl() -> None:
+    """On Linux, EGL, which draws without a screen; nothing where it is missing, so that simulation still works."""
+    if sys.platform.startswith("linux") and "MUJOCO_GL" not in os.environ:
+        try:
+            ctypes.CDLL("libEGL.so.1")
+            os.environ["MUJOCO_GL"] = "egl"
+        except OSError:
+            os.environ["MUJOCO_GL"] = "disable"
+
+
 def import_mujoco() -> Any:
-    """The `mujoco` module, set to draw without a screen on Linux, or a sentence that says how to get it."""
-    if sys.platform.startswith("linux"):
-        os.environ.setdefault("MUJOCO_GL", "egl")  # MuJoCo reads this once, when it is imported
+    """The `mujoco` module, or a sentence that says how to get it or its OpenGL libraries."""
+    _choose_gl()  # MuJoCo reads the variable once, when it is imported
     try:
         import mujoco
-    except ImportError as error:
+    except ModuleNotFoundError as error:
         raise KeycldError("this system needs MuJoCo: install it with pip install 'keycld[envs]'.") from error
+    except Exception as error:  # every GL library fails in its own way
+        raise no_gl(error) from error
     return mujoco
 
 
@@ -46,10 +68,12 @@ def _simulated_model(name: str, clip: bool) -> Any:
 class AbstractMujocoSystem(AbstractSystem):
     """A system whose state is MuJoCo's (qpos, qvel), seen by a camera that looks along +y with z up.
 
-    **Attributes:** `camera_height`, `camera_distance`: metres, of the fixed camera from the plane of motion.
+    Attributes:
+        camera_height: of the fixed camera, metres.
+        camera_distance: of the fixed camera from the plane of motion, metres.
     """
 
-    starts: ClassVar[tuple[Start, ...]] = ("rest", "random", "released")
+    starts: ClassVar[tuple[str, ...]] = ("rest", "random", "released")
     input_range: ClassVar[float] = 3.0
     camera_height: ClassVar[float]
     camera_distance: ClassVar[float]
@@ -63,7 +87,7 @@ class AbstractMujocoSystem(AbstractSystem):
         """Positions anywhere: angles uniform in ±π, a slider in ± its limit (metres)."""
 
     @property
-    def control_modes(self) -> tuple[Control, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def control_modes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
         """`"under"` exists where there are two motors."""
         return ("none", "full") if len(self.input_names) == 1 else ("none", "under", "full")
 

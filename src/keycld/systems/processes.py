@@ -122,10 +122,15 @@ def run_in_processes(
 ) -> Iterator[tuple[int, Any]]:
     """Yield (index, result) of each task when it is done, in any order.
 
-    **Arguments:** `workers`: processes (default: one a core), at most four; `time_out`: seconds for one
-    task. A task whose worker dies or hangs is tried once more in a fresh one.
+    A task whose worker dies or hangs is tried once more in a fresh one.
 
-    **Raises:** what a task raises; `KeycldError` where its second try is lost too, or `workers` is below 1.
+    Args:
+        tasks: what to do.
+        workers: processes, at most four; by default one a core.
+        time_out: seconds for one task.
+
+    Raises:
+        KeycldError: `workers` is below 1, or a task's second try is lost too. Other errors are the task's own.
     """
     if workers is not None and workers < 1:
         raise KeycldError(f"workers must be at least 1, not {workers}.")

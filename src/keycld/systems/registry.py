@@ -37,7 +37,8 @@ def names() -> tuple[str, ...]:
 def get(name: str) -> AbstractSystem:
     """The system called `name`.
 
-    **Raises:** `KeycldError` with the nearest valid name.
+    Raises:
+        KeycldError: there is none; it names the nearest.
     """
     if name not in names():
         raise unknown("system", name, names())

@@ -1,23 +1,15 @@
 """Headless drawing of MuJoCo models, and what to do where it fails."""
 
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
-from keycld._errors import KeycldError
-from keycld.systems.mujoco_system import import_mujoco, load_model
+from keycld.systems.mujoco_system import import_mujoco, load_model, no_gl
 
 # dm_control draws shadows from a map of 2048 x 2048, which takes two thirds of a software renderer's time.
-# With 512 fewer than 5 of 10,000 pixels change by more than two levels (docs/systems.md has the
-# measurements).
+# With 512 fewer than 5 of 10,000 pixels change by more than two levels (measured in docs/systems.md).
 _SHADOW_MAP = 512
 _SOFTWARE = ("llvmpipe", "softpipe", "swrast", "software rasterizer")
-
-NO_GL = (
-    "nothing can draw here, because no OpenGL context could be made ({reason}): on Debian or Ubuntu install "
-    "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; "
-    "MUJOCO_GL chooses another back end."
-)
 
 
 def is_software(description: str) -> bool:
@@ -32,10 +24,10 @@ class MujocoDrawer:
     """
 
     def __init__(self, name: str, size: int):
-        """Arguments: the model's name, pixels of a side."""
+        """Draw the model called `name` on `size` × `size` pixels."""
         self.name, self.size = name, size
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "MujocoDrawer":
         mujoco = import_mujoco()
         self._model = load_model(self.name)
         self._model.vis.quality.shadowsize = _SHADOW_MAP
@@ -46,7 +38,7 @@ class MujocoDrawer:
             self._renderer = mujoco.Renderer(self._model, self.size, self.size)
             self.description = _gl_renderer()
         except Exception as error:  # every GL library fails in its own way
-            raise KeycldError(NO_GL.format(reason=f"{type(error).__name__}: {error}")) from error
+            raise no_gl(error) from error
         return self
 
     def __exit__(self, *_: Any) -> None:

@@ -16,8 +16,11 @@ def path(
 ) -> SweepPath:
     """64 states at rest along one coordinate; all that is not named is zero.
 
-    **Arguments:** `vary`: one coordinate's name with its first and last value (both taken); `fixed`: values
-    of others.
+    Args:
+        state_names: the system's.
+        name: of the path.
+        vary: one coordinate's name with its first and its last value, both taken.
+        fixed: other coordinates' values.
     """
     (varied, (low, high)), *_ = vary.items()
     state = np.zeros((PATH_POINTS, len(state_names)))

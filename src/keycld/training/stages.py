@@ -23,8 +23,9 @@ class Stage:
     - `steps`: optimiser steps.
     - `sampler`: draws the clips of a step.
     - `loss`: `loss(model, clips, key=key) -> (scalar, terms)`.
-    - `rates`: learning rate of each named group of parameters; a group that is not named stays as it is. A
-      group is named by the model's own field, `estimator`, `renderer`, `dynamics`, …
+    - `rates`: learning rate of each named group of parameters; what no name covers stays as it is. A group is named
+      by its place in the model, such as `dynamics` or `dynamics.law.potential.perceptron`; the longest name that
+      fits a parameter counts, and a rate of zero freezes.
     - `optimiser`: makes an optax transformation from a learning-rate schedule.
     - `schedule`: makes that schedule from the peak rate and the number of steps.
     - `clip`: largest global norm of a gradient; larger ones are shortened to it. None: unlimited.
@@ -44,27 +45,30 @@ class Stage:
     prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
     validate: bool = False
 
+    def groups(self, model: eqx.Module) -> Any:
+        """A pytree of the model's shape: at every leaf the name of its group, or None where nothing is trained."""
+
+        def name_of(path: Any, leaf: Any) -> str | None:
+            place = jax.tree_util.keystr(path, simple=True, separator=".") + "."
+            inside = [name for name in self.rates if place.startswith(name + ".")]
+            return max(inside, key=len) if inside and eqx.is_inexact_array(leaf) else None
+
+        return jax.tree_util.tree_map_with_path(name_of, model)
+
     def trainable(self, model: eqx.Module) -> Any:
         """A pytree of the model's shape: True at every leaf that this stage trains."""
-        groups = {name: jax.tree.map(eqx.is_inexact_array, getattr(model, name)) for name in self.rates}
-        frozen = jax.tree.map(lambda _: False, model)
-        return eqx.tree_at(
-            lambda tree: [getattr(tree, name) for name in groups],
-            frozen,
-            list(groups.values()),
+        groups = self.groups(model)
+        return jax.tree.map(lambda name: name is not None and self.rates[name] > 0, groups, is_leaf=lambda x: x is None)
+
+    def transformation(self, model: eqx.Module) -> optax.GradientTransformation:
+        """The optimiser of this stage for the trainable part of a model."""
+        names = jax.tree.map(
+            lambda name: name if name is not None and self.rates[name] > 0 else None,
+            self.groups(model),
             is_leaf=lambda x: x is None,
         )
-
-    def transformation(self, parameters: Any) -> optax.GradientTransformation:
-        """The optimiser of this stage for the trainable part of a model."""
-        labels = {
-            name: jax.tree.map(lambda _, name=name: name, getattr(parameters, name)) for name in self.rates
-        }
-        tree = eqx.tree_at(
-            lambda tree: [getattr(tree, name) for name in labels], parameters, list(labels.values())
-        )
-        rules = {name: self.optimiser(self.schedule(rate, self.steps)) for name, rate in self.rates.items()}
-        combined = optax.multi_transform(rules, tree)
+        rules = {name: self.optimiser(self.schedule(rate, self.steps)) for name, rate in self.rates.items() if rate > 0}
+        combined = optax.multi_transform(rules, names)
         if self.clip is None:
             return combined
         return optax.chain(optax.clip_by_global_norm(self.clip), combined)

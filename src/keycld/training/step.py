@@ -32,7 +32,7 @@ def begin(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
     parameters, rest = eqx.partition(model, stage.trainable(model))
     # A copy, because a step donates its buffers and the caller may still hold the model.
     parameters = jax.tree.map(jnp.copy, parameters)
-    state = stage.transformation(parameters).init(parameters)
+    state = stage.transformation(model).init(parameters)
     return Progress(parameters, state, jnp.array(0), jnp.array(True)), rest
 
 
@@ -45,8 +45,7 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
     One step a dispatch is right on a CPU: XLA runs convolutions inside a loop there on a single thread without its
     fast kernels (measured twenty times slower). On a GPU several steps hide the launch.
     """
-    parameters, _ = eqx.partition(model, stage.trainable(model))
-    transformation = stage.transformation(parameters)
+    transformation = stage.transformation(model)
     clip_key, loss_key = step_keys(seed, number)
 
     def one(progress: Progress, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:

@@ -10,7 +10,7 @@ from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
-    from keycld.mechanics import Constraints
+    import keycld.mechanics
 
 LENGTH = 1.0
 SHOULDER_HEIGHT = 2.1
@@ -35,7 +35,7 @@ class Acrobot(AbstractMujocoSystem):
     camera_distance = 6.0
 
     @property
-    def constraints(self) -> "Constraints":
+    def constraints(self) -> "keycld.mechanics.Constraints":
         """|x₁| and |x₁ − x₂| are constant."""
         from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 
@@ -47,9 +47,7 @@ class Acrobot(AbstractMujocoSystem):
     def landmarks(self, state: np.ndarray) -> np.ndarray:
         """The elbow's axis and the end of the lower arm's axis."""
         shoulder, lower = state[..., 0], state[..., 0] + state[..., 1]
-        elbow = LENGTH * np.stack([np.sin(shoulder), np.cos(shoulder)], axis=-1) + np.array(
-            [0.0, SHOULDER_HEIGHT]
-        )
+        elbow = LENGTH * np.stack([np.sin(shoulder), np.cos(shoulder)], axis=-1) + np.array([0.0, SHOULDER_HEIGHT])
         tip = elbow + LENGTH * np.stack([np.sin(lower), np.cos(lower)], axis=-1)
         return self.to_image_plane(np.stack([elbow, tip], axis=-2))
 
@@ -66,7 +64,5 @@ class Acrobot(AbstractMujocoSystem):
         return (
             sweeping.path(self.state_names, "shoulder", {"shoulder": sweeping.FULL_TURN}, {"elbow": 0.0}),
             sweeping.path(self.state_names, "elbow", {"elbow": sweeping.FULL_TURN}, {"shoulder": np.pi}),
-            sweeping.grid(
-                self.state_names, "grid", {"shoulder": sweeping.FULL_TURN, "elbow": sweeping.FULL_TURN}
-            ),
+            sweeping.grid(self.state_names, "grid", {"shoulder": sweeping.FULL_TURN, "elbow": sweeping.FULL_TURN}),
         )

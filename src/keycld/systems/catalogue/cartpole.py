@@ -10,12 +10,13 @@ from keycld.systems.mujoco_system import AbstractMujocoSystem
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
-    from keycld.mechanics import Constraints
+    import keycld.mechanics
 
 LENGTH = 1.0
 CART_HEIGHT = 1.0
-# The cart stays in the picture over this part of the rail, metres.
-SWEEP = (-2.0, 2.0)
+# Over these parts of the rail, in metres, the cart stays in the picture, and the pole at any angle too.
+CART_SWEEP = (-2.0, 2.0)
+GRID_SWEEP = (-1.3, 1.3)
 
 
 @register
@@ -36,7 +37,7 @@ class Cartpole(AbstractMujocoSystem):
     camera_distance = 6.0
 
     @property
-    def constraints(self) -> "Constraints":
+    def constraints(self) -> "keycld.mechanics.Constraints":
         """y₁ and |x₁ − x₂| are constant."""
         from keycld.mechanics import Constraints, FixedDistance, OnLine
 
@@ -66,6 +67,6 @@ class Cartpole(AbstractMujocoSystem):
         turn = {"angle": sweeping.FULL_TURN}
         return (
             sweeping.path(self.state_names, "pole", turn, {"position": 0.0}),
-            sweeping.path(self.state_names, "cart", {"position": SWEEP}, {"angle": np.pi}),
-            sweeping.grid(self.state_names, "grid", {"position": SWEEP} | turn),
+            sweeping.path(self.state_names, "cart", {"position": CART_SWEEP}, {"angle": np.pi}),
+            sweeping.grid(self.state_names, "grid", {"position": GRID_SWEEP} | turn),
         )

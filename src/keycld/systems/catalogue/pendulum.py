@@ -10,7 +10,7 @@ from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
-    from keycld.mechanics import Constraints
+    import keycld.mechanics
 
 LENGTH = 0.5
 
@@ -33,7 +33,7 @@ class Pendulum(AbstractMujocoSystem):
     camera_distance = 2.5
 
     @property
-    def constraints(self) -> "Constraints":
+    def constraints(self) -> "keycld.mechanics.Constraints":
         """|x₁| is constant."""
         from keycld.mechanics import Constraints, DistanceToPoint
 

@@ -42,11 +42,11 @@ class FastRecipe(AbstractRecipe):
     stride: int = 2
     sigma: float = 0.1
     substeps: int = 4
-    vision_steps: int = 1500
+    vision_steps: int = 1000
     vision_batch: int = 16
     vision_rate: float = 2e-3
-    windows: tuple[int, ...] = (6, 12, 24)
-    dynamics_steps: int = 400
+    windows: tuple[int, ...] = (8, 24)
+    dynamics_steps: int = 300
     dynamics_batch: int = 64
     dynamics_rate: float = 1e-2
     horizons: tuple[int, ...] = (8, 16, 32, 48)
@@ -83,6 +83,10 @@ class FastRecipe(AbstractRecipe):
             ),
         )
 
+    def _perceptrons(self, scene: Scene) -> dict[str, float]:
+        names = ("potential", "input_matrix") if scene.inputs else ("potential",)
+        return {f"dynamics.law.{name}.perceptron": 0.0 for name in names}
+
     def stages(self, scene: Scene) -> tuple[Stage, ...]:
         """Vision, dynamics at each window, joint at each horizon that the trajectories allow."""
         vision = Stage(
@@ -102,7 +106,8 @@ class FastRecipe(AbstractRecipe):
                 steps=self.dynamics_steps,
                 sampler=Windows(self.dynamics_batch, window, cached=True),
                 loss=TrackLoss(),
-                rates={"dynamics": self.dynamics_rate},
+                # Affine energies and inputs first: with noisy keypoints the perceptrons would learn the noise.
+                rates={"dynamics": self.dynamics_rate, **self._perceptrons(scene)},
                 schedule=functools.partial(warmup_cosine, final=0.1),
                 clip=1.0,
                 prepare=cache_keypoints if window == windows[0] else None,

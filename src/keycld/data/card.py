@@ -1,0 +1,76 @@
+"""The README.md of a data set: a small paper."""
+
+from typing import Any
+
+from keycld.data.store import Trajectories
+from keycld.systems import get, names
+
+_MEANING = {
+    "train": "what models learn from",
+    "validation": "for choices; its mean image gives the threshold ε",
+    "test": "nothing is ever tuned on it",
+    "test_long": "long predictions without input; nothing is ever tuned on it",
+    "sweeps": "pictures along paths and a grid of the configuration space, for energy figures",
+}
+
+
+def card(train: Trajectories, figures: dict[str, Any]) -> str:
+    """The card, in Markdown.
+
+    Args:
+        train: the training split.
+        figures: what `statistics.json` will hold.
+    """
+    about = train.attributes
+    system = get(about["system"]) if about["system"] in names() else None
+    parts = [f"# {about['system']}", "![Four recordings side by side](preview.gif)"]
+    if system is not None and type(system).__doc__:
+        parts.append("\n".join(line.strip() for line in str(type(system).__doc__).strip().splitlines()))
+    parts += ["## Files", _files(figures["splits"])]
+    parts += ["## Fields", _fields(train)]
+    parts += ["## How it was made", _origin(about, figures)]
+    parts += [
+        "## How to evaluate",
+        f"Valid prediction time: the first frame whose mean squared error exceeds ε = "
+        f"{figures['splits']['validation'].get('epsilon', float('nan')):.3e}, as a part of the frames; the model "
+        "sees the first frames and the input only, never `/state`. Print the mean image's and the frozen last "
+        "frame's scores beside every result.",
+        "`keycld data check` on this folder compares every file with `statistics.json`.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _files(splits: dict[str, Any]) -> str:
+    rows = ["| file | recordings × frames | MB | what for |", "|---|---|---|---|"]
+    for name, split in splits.items():
+        size = f"{split['bytes'] / 1e6:.1f}"
+        meaning = _MEANING.get(name, "")
+        rows.append(f"| `{name}.h5` | {split['trajectories']} × {split['frames']} | {size} | {meaning} |")
+    return "\n".join(rows)
+
+
+def _fields(train: Trajectories) -> str:
+    about = train.attributes
+    lines = []
+    if train.image is not None:
+        height, width = train.image.shape[2:4]
+        lines.append(f"- `/image`: {height} × {width} RGB, one every {about['dt']:g} s")
+    inputs = ", ".join(about.get("input_names", ())) or f"{train.input.shape[-1]} components"
+    lines.append(f"- `/input`: {inputs}")
+    if train.state is not None and "state_names" in about:
+        units = about.get("units", ("",) * len(about["state_names"]))
+        named = ", ".join(f"{name} ({unit})" for name, unit in zip(about["state_names"], units, strict=True))
+        lines.append(f"- `/state`, ground truth for evaluation only: {named}")
+    return "\n".join(lines)
+
+
+def _origin(about: Any, figures: dict[str, Any]) -> str:
+    lines = [f"- generator: {about.get('generator', 'unknown')}, protocol {about.get('protocol', 'unknown')}"]
+    conditions = [f"{key} {about[key]}" for key in ("control", "start", "input_limit", "clip") if key in about]
+    if conditions:
+        lines.append(f"- conditions of train, validation and test: {', '.join(conditions)}")
+    if about.get("renderer"):
+        lines.append(f"- drawn by {about['renderer']}")
+    if "seconds" in figures:
+        lines.append(f"- made in {figures['seconds']:.0f} s")
+    return "\n".join(lines)

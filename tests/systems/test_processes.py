@@ -1,0 +1,99 @@
+"""Worker processes: what goes wrong in one is told, once, in the caller."""
+
+import os
+import time
+
+import pytest
+
+from keycld import KeycldError
+from keycld.systems import Task, draw, get, is_software, renderer_name, run_in_processes
+
+
+def double(x):
+    return 2 * x
+
+
+def refuse():
+    raise KeycldError("mend this")
+
+
+def break_down():
+    raise ZeroDivisionError
+
+
+def die(marker):
+    """End the process the first time, answer the second."""
+    if not os.path.exists(marker):
+        open(marker, "w").close()
+        os._exit(3)
+    return "alive"
+
+
+def die_always():
+    os._exit(3)
+
+
+def hang():
+    time.sleep(60)
+
+
+def test_results_come_with_their_index():
+    tasks = [Task(double, (i,)) for i in range(5)]
+    assert dict(run_in_processes(tasks, workers=2)) == {i: 2 * i for i in range(5)}
+
+
+def test_a_users_error_arrives_as_it_is():
+    with pytest.raises(KeycldError, match="^mend this$"):
+        list(run_in_processes([Task(refuse, ())]))
+
+
+def test_a_programming_error_arrives_with_its_trace():
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        list(run_in_processes([Task(break_down, ())]))
+
+
+def test_a_dead_worker_gets_one_more_try(tmp_path):
+    assert list(run_in_processes([Task(die, (str(tmp_path / "marker"),))])) == [(0, "alive")]
+    with pytest.raises(KeycldError, match="failed twice"):
+        list(run_in_processes([Task(die_always, ())]))
+
+
+def test_a_hanging_worker_is_given_up():
+    with pytest.raises(KeycldError, match="failed twice"):
+        list(run_in_processes([Task(hang, ())], time_out=0.3))
+
+
+def test_workers_must_be_positive():
+    with pytest.raises(KeycldError, match="at least 1"):
+        list(run_in_processes([Task(double, (1,))], workers=0))
+
+
+def test_the_renderer_has_a_name():
+    assert renderer_name()
+
+
+def test_software_renderers_are_known():
+    assert is_software("llvmpipe (LLVM 15.0.6, 256 bits)")
+    assert not is_software("NVIDIA H200/PCIe/SSE2")
+
+
+@pytest.mark.parametrize(
+    ("variable", "value"), [("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent"), ("MUJOCO_GL", "disable")]
+)
+def test_without_gl_one_sentence_names_the_packages(monkeypatch, variable, value):
+    monkeypatch.setenv(variable, value)
+    with pytest.raises(KeycldError, match="libegl1 libgl1"):
+        renderer_name()
+
+
+def test_one_process_draws_one_system():
+    from keycld.systems.drawing import draw_in_worker
+
+    system = get("pendulum")
+    other = get("acrobot")
+    import numpy as np
+
+    assert draw(system, np.zeros((1, 2))).image.shape == (1, 64, 64, 3)
+    tasks = [Task(draw_in_worker, (each, np.zeros((1, len(each.state_names))))) for each in (system, other)]
+    with pytest.raises(RuntimeError, match="cannot draw"):
+        list(run_in_processes(tasks, workers=1))

@@ -1,0 +1,102 @@
+"""Every system, in every control mode and start."""
+
+import numpy as np
+import pytest
+
+from keycld import KeycldError
+from keycld.systems import AbstractMujocoSystem, Conditions, draw, get, names, register
+from keycld.systems.registry import _SYSTEMS
+
+CASES = [
+    (name, control, start)
+    for name in names()
+    for control in get(name).control_modes
+    for start in get(name).starts
+]
+
+
+def test_the_papers_systems_are_there():
+    assert {"pendulum", "cartpole", "acrobot"} <= set(names())
+
+
+@pytest.mark.parametrize(("name", "control", "start"), CASES)
+def test_two_frames_under_all_conditions(name, control, start):
+    system = get(name)
+    run = system.record(np.random.RandomState(100), 2, Conditions(control=control, start=start))
+    d, inputs = len(system.state_names), len(system.input_names)
+    assert run.state.shape == run.state_derivative.shape == (2, d)
+    assert run.time.shape == (2,) and run.input.shape == (inputs,)
+    assert np.all(np.isfinite(run.state)) and np.all(np.isfinite(run.state_derivative))
+    np.testing.assert_allclose(np.diff(run.time), system.dt)
+    acting = {"none": 0, "under": 1, "full": inputs}[control]
+    assert np.count_nonzero(run.input) == acting
+    assert len(system.units) == d
+    assert system.landmarks(run.state).shape == (2, len(system.keypoints), 2)
+
+
+@pytest.mark.parametrize("name", names())
+def test_two_pictures(name):
+    system = get(name)
+    run = system.record(np.random.RandomState(0), 2, Conditions())
+    image = draw(system, run.state).image
+    assert image.shape == (2, system.size, system.size, 3) and image.dtype == np.uint8
+    assert image.std() > 10
+
+
+@pytest.mark.parametrize("name", names())
+def test_the_seed_decides(name):
+    system = get(name)
+
+    def state(seed):
+        return system.record(np.random.RandomState(seed), 5, Conditions()).state
+
+    np.testing.assert_array_equal(state(3), state(3))
+    assert np.any(state(3) != state(4))
+
+
+@pytest.mark.parametrize("name", names())
+def test_released_runs_start_at_rest(name):
+    system = get(name)
+    conditions = Conditions(control="none", start="released")
+    run = system.record(np.random.RandomState(0), 2, conditions)
+    half = len(system.state_names) // 2
+    # After one step from rest the velocities are still one acceleration times dt.
+    assert np.all(np.abs(run.state[0, half:]) < 2.0 * system.dt * np.abs(run.state_derivative[0, half:]) + 1e-9)
+
+
+@pytest.mark.parametrize("name", names())
+def test_sweeps_are_at_rest_and_in_the_picture(name):
+    system = get(name)
+    half = len(system.state_names) // 2
+    for sweep in system.sweeps():
+        assert len(sweep.state) == np.prod(sweep.shape)
+        assert len(sweep.vary) == len(sweep.shape)
+        assert not np.any(sweep.state[:, half:])
+        assert np.all(np.abs(system.landmarks(sweep.state)) <= 1.0)
+
+
+def test_an_unknown_name_is_met_with_the_nearest():
+    with pytest.raises(KeycldError, match="did you mean 'pendulum'"):
+        get("pendulm")
+
+
+def test_conditions_that_a_system_does_not_know():
+    with pytest.raises(KeycldError, match="pendulum has no control mode 'under': choose from none, full"):
+        get("pendulum").check(Conditions(control="under"))
+    with pytest.raises(KeycldError, match="no start 'upside-down'"):
+        get("acrobot").check(Conditions(start="upside-down"))
+    with pytest.raises(KeycldError, match="input_limit"):
+        get("acrobot").check(Conditions(input_limit=float("nan")))
+
+
+def test_a_new_system_needs_one_class():
+    pendulum = type(get("pendulum"))
+    try:
+
+        @register
+        class Heavy(pendulum):
+            name = "heavy"
+
+        assert isinstance(get("heavy"), AbstractMujocoSystem) and "heavy" in names()
+    finally:
+        _SYSTEMS.pop("heavy", None)
