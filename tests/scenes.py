@@ -65,11 +65,11 @@ TINY = {
     "width": 8,
     "vision_steps": 6,
     "vision_batch": 4,
-    "windows": [5, 6],
     "dynamics_steps": 6,
     "dynamics_batch": 4,
-    "horizons": [6, 8],
+    "dynamics_horizons": [5, 6],
     "joint_steps": 6,
+    "joint_horizons": [6, 8],
     "later": 3,
 }
 """Settings of the `fast` preset that train in seconds."""

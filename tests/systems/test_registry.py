@@ -8,10 +8,7 @@ from keycld.systems import AbstractMujocoSystem, Conditions, draw, get, names, r
 from keycld.systems.registry import _SYSTEMS
 
 CASES = [
-    (name, control, start)
-    for name in names()
-    for control in get(name).control_modes
-    for start in get(name).starts
+    (name, control, start) for name in names() for control in get(name).control_modes for start in get(name).starts
 ]
 
 

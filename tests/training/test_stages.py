@@ -6,7 +6,7 @@ import optax
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.data import RandomFrames, Resident, StartAndLater, WholeTrajectories, Windows
+from keycld.data import RandomFrames, Resident, StartAndLater, WholeTrajectories
 from keycld.training import Stage, make_recipe
 from keycld.training.stages import forgetful, warmup_cosine
 from keycld.training.step import begin, diagnose, make_step
@@ -25,7 +25,7 @@ def numbers(clip):
 
 
 def test_later_frames_follow_the_two_given_ones_in_order(data):
-    sampler = StartAndLater(batch=64, horizon=6, later=3)
+    sampler = StartAndLater(batch=64, later=3, horizons=(6,), steps=10)
     clip = sampler(data, jax.random.key(0), jnp.array(3))
     index = np.asarray(clip.index)
     assert clip.span == 6
@@ -35,6 +35,23 @@ def test_later_frames_follow_the_two_given_ones_in_order(data):
     np.testing.assert_array_equal(seen - seen[:, :1], index)
     np.testing.assert_array_equal(np.asarray(clip.u)[:, 0], seen[:, 0] // 10)
     assert set(seen[:, 0] % 10) == set(range(5))  # every start that leaves room for the horizon
+
+
+def test_the_horizon_grows_with_the_steps(data):
+    sampler = StartAndLater(batch=64, later=2, horizons=(4, 7, 10), steps=9)
+    last = [int(sampler(data, jax.random.key(0), jnp.array(k)).index.max()) for k in range(9)]
+    assert last == [3, 3, 3, 6, 6, 6, 9, 9, 9]
+    late = sampler(data, jax.random.key(0), jnp.array(20))
+    assert int(late.index.max()) == 9 and set(numbers(late)[:, 0] % 10) == {0}
+
+
+def test_cached_keypoints_take_the_place_of_pictures(data):
+    tracks = jnp.arange(40.0).reshape(4, 10, 1) * jnp.ones(2)[None, None, :]
+    cached = eqx.tree_at(lambda d: d.keypoints, data, tracks, is_leaf=lambda x: x is None)
+    clip = StartAndLater(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
+    assert clip.frames is None
+    start = clip.keypoints[:, :1, 0]
+    np.testing.assert_array_equal(clip.keypoints[..., 0] - start, clip.index)
 
 
 def test_an_epoch_visits_every_trajectory_once(data):
@@ -52,7 +69,9 @@ def test_a_step_number_decides_its_clips(data):
 
 def test_too_short_trajectories_are_named(data):
     with pytest.raises(KeycldError, match="10 frames but this recipe samples clips of 12"):
-        Windows(2, 12).check(data)
+        StartAndLater(2, 3, (6, 12), 10).check(data)
+    with pytest.raises(KeycldError, match="no room"):
+        StartAndLater(2, 5, (6, 12), 10)
 
 
 class Model(eqx.Module):

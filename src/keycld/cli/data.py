@@ -59,9 +59,7 @@ def make(
         print(f"{made.folder} is already there, nothing to do")
         return
     speed = made.frames / max(made.seconds, 1e-9)
-    print(
-        f"made {made.folder}: {made.frames} frames in {made.seconds:.0f} s ({speed:.0f} frames/s, {made.renderer})"
-    )
+    print(f"made {made.folder}: {made.frames} frames in {made.seconds:.0f} s ({speed:.0f} frames/s, {made.renderer})")
 
 
 def check(data: tyro.conf.Positional[Path], /) -> None:
@@ -98,23 +96,17 @@ def show(
 
     Args:
         data: A system whose data is under data/, or a data set's folder.
-        split: Which file: train, validation, test, test_long, sweeps.
+        split: Which file: train, validation, test or test_long.
         trajectory: Which trajectory of it.
         out: Movie, .gif or .mp4; DATA-SPLIT-TRAJECTORY.gif unless told.
         scale: Enlargement.
     """
     from keycld.data import open_data
-    from keycld.drawing import save_movie
+    from keycld.data import show as make_movie
 
     dataset = open_data(data)
-    images = dataset.split(split)
-    if images.image is None or not 0 <= trajectory < len(images):
-        raise KeycldError(
-            f"{split} of {data} holds pictures of trajectories 0 to {len(images) - 1}, not {trajectory}."
-        )
     path = out or Path(f"{dataset.folder.name}-{split}-{trajectory}.gif")
-    save_movie(path, images.image[trajectory], fps=min(25, round(1 / images.dt)), scale=scale)
-    print(f"movie: {path}")
+    print(f"movie: {make_movie(dataset.split(split), path, trajectory=trajectory, scale=scale)}")
 
 
 def import_(
@@ -141,9 +133,7 @@ def import_(
     """
     from keycld.data import import_video
 
-    folder = import_video(
-        list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints
-    )
+    folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
     print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")
 
 
@@ -157,6 +147,5 @@ class _Shown:
         from keycld.training import Bar
 
         if self._bar is None:
-            self._bar = Bar("data", progress.total, start=0, stream=sys.stderr)
-        speed = progress.done / max(progress.seconds, 1e-9)
-        self._bar.show(progress.done, speed, progress.what)
+            self._bar = Bar("data", progress.total, start=progress.done - progress.fresh, stream=sys.stderr)
+        self._bar.show(progress.done, progress.fresh / max(progress.seconds, 1e-9), "")

@@ -23,6 +23,4 @@ def info() -> None:
         return
     print(f"renderer    {name} (MUJOCO_GL={os.environ.get('MUJOCO_GL', 'egl')})")
     if is_software(name):
-        print(
-            "            a software renderer: correct pictures, about 100 frames/s a core; a GPU's is faster"
-        )
+        print("            a software renderer: correct pictures, about 100 frames/s a core; a GPU's is faster")

@@ -7,7 +7,6 @@ from keycld.data.clips import RandomFrames as RandomFrames
 from keycld.data.clips import Resident as Resident
 from keycld.data.clips import StartAndLater as StartAndLater
 from keycld.data.clips import WholeTrajectories as WholeTrajectories
-from keycld.data.clips import Windows as Windows
 from keycld.data.dataset import DataSet as DataSet
 from keycld.data.dataset import open_data as open_data
 from keycld.data.importing import import_video as import_video
@@ -35,7 +34,6 @@ __all__ = [
     "Sweep",
     "Trajectories",
     "WholeTrajectories",
-    "Windows",
     "check",
     "image_statistics",
     "import_video",

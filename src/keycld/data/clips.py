@@ -82,53 +82,52 @@ class RandomFrames(AbstractSampler):
         return _gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1, frames=True)
 
 
-class Windows(AbstractSampler):
-    """Consecutive frames, or consecutive cached keypoints.
+class StartAndLater(AbstractSampler):
+    """The first two frames and a few random later ones: a long horizon for the price of a few pictures.
 
-    - `batch`, `length`: clips a step and frames a clip.
+    The horizon grows with the steps, because a motion that starts a little wrong is lost after a long time and teaches
+    nothing there. All horizons share one compiled step.
+
+    - `batch`: clips a step.
+    - `later`: how many later frames, drawn without repetition, in order.
+    - `horizons`: how many frames the first and the last possible one span; each holds for an equal part of `steps`.
+    - `steps`: of the stage.
     - `cached`: give the keypoints that the stage has cached instead of pictures.
     """
 
     batch: int = eqx.field(static=True)
-    length: int = eqx.field(static=True)
+    later: int = eqx.field(static=True)
+    horizons: tuple[int, ...] = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
     cached: bool = eqx.field(static=True, default=False)
 
-    def span(self) -> int:
-        """The length of a window."""
-        return self.length
-
-    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """Windows drawn uniformly over all trajectories and starts."""
-        trajectory, start = _starts(data, jax.random.fold_in(key, step), self.batch, self.length)
-        index = jnp.broadcast_to(jnp.arange(self.length)[None, :], (self.batch, self.length))
-        return _gather(data, trajectory, start, index, self.length, frames=not self.cached)
-
-
-class StartAndLater(AbstractSampler):
-    """The first two frames and a few random later ones: a long horizon for the price of a few pictures.
-
-    - `batch`: clips a step.
-    - `horizon`: frames from the first to the last possible one, counted inclusively.
-    - `later`: how many later frames, drawn without repetition and sorted.
-    """
-
-    batch: int = eqx.field(static=True)
-    horizon: int = eqx.field(static=True)
-    later: int = eqx.field(static=True)
+    def __check_init__(self):
+        """Every horizon has room for the later frames."""
+        if min(self.horizons) < self.later + 2:
+            raise KeycldError(
+                f"a horizon of {min(self.horizons)} frames has no room for two given and {self.later} later ones; "
+                f"make it {self.later + 2} or longer, or ask for fewer later frames."
+            )
 
     def span(self) -> int:
-        """The horizon."""
-        return self.horizon
+        """The longest horizon."""
+        return max(self.horizons)
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
         """Clips drawn uniformly over all trajectories and starts."""
-        key_start, key_later = jax.random.split(jax.random.fold_in(key, step))
-        trajectory, start = _starts(data, key_start, self.batch, self.horizon)
-        draw = jax.vmap(lambda k: jax.random.choice(k, self.horizon - 2, (self.later,), replace=False))
-        later = 2 + jnp.sort(draw(jax.random.split(key_later, self.batch)), axis=1)
+        trajectory_key, start_key, later_key = jax.random.split(jax.random.fold_in(key, step), 3)
+        count, length = data.image.shape[:2]
+        phase = jnp.clip(step * len(self.horizons) // self.steps, 0, len(self.horizons) - 1)
+        horizon = jnp.array(self.horizons)[phase]
+        trajectory = jax.random.randint(trajectory_key, (self.batch,), 0, count)
+        start = jax.random.randint(start_key, (self.batch,), 0, length - horizon + 1)
+        # The frames with the smallest random numbers are a draw without repetition; those too late have none.
+        number = jnp.arange(2, self.span())
+        lot = jax.random.uniform(later_key, (self.batch, self.span() - 2)) + (number >= horizon)[None, :]
+        later = 2 + jnp.sort(jnp.argsort(lot, axis=1)[:, : self.later], axis=1)
         given = jnp.broadcast_to(jnp.arange(2)[None, :], (self.batch, 2))
         index = jnp.concatenate([given, later], axis=1)
-        return _gather(data, trajectory, start, index, self.horizon, frames=True)
+        return _gather(data, trajectory, start, index, self.span(), frames=not self.cached)
 
 
 class WholeTrajectories(AbstractSampler):
@@ -149,18 +148,9 @@ class WholeTrajectories(AbstractSampler):
         return _gather(data, trajectory, jnp.zeros(1, int), index, self.length, frames=True)
 
 
-def _starts(data: Resident, key: PRNGKeyArray, batch: int, span: int) -> tuple[Array, Array]:
-    key_trajectory, key_start = jax.random.split(key)
-    count, length = data.image.shape[:2]
-    return (
-        jax.random.randint(key_trajectory, (batch,), 0, count),
-        jax.random.randint(key_start, (batch,), 0, length - span + 1),
-    )
-
-
 def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool) -> Clip:
     rows, columns = trajectory[:, None], start[:, None] + index
-    held = start[:, None] + jnp.arange(span)[None, :]
+    held = jnp.minimum(start[:, None] + jnp.arange(span)[None, :], data.image.shape[1] - 1)
     u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]
     return Clip(
         frames=data.image[rows, columns].astype(jnp.float32) / 255.0 if frames else None,

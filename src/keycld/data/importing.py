@@ -1,8 +1,10 @@
 """Turns videos into a data set."""
 
 import shutil
+import subprocess
 import time
 from collections.abc import Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -109,38 +111,44 @@ def _check_numbers(
         raise KeycldError(f"validation ({validation}) and test ({test}) are parts that leave some for training.")
 
 
+def _ffmpeg(*arguments: str) -> bytes:
+    """What ffmpeg writes to its output, empty where it fails."""
+    import imageio_ffmpeg
+
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-nostdin", *arguments, "-"]
+    return subprocess.run(command, capture_output=True, check=False).stdout
+
+
+def _probe(path: Path) -> tuple[int, int, Fraction]:
+    """Width, height and frames a second, as ffmpeg shows the video (turned upright)."""
+    # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
+    head = _ffmpeg("-i", str(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe")
+    words = {word[:1]: word[1:] for word in head.split(b"\n")[0].decode("ascii", "replace").split()[1:]}
+    try:
+        return int(words["W"]), int(words["H"]), Fraction(words["F"].replace(":", "/"))
+    except (KeyError, ValueError, ZeroDivisionError) as error:
+        raise KeycldError(f"{path} cannot be read as a video: convert it to MP4 first.") from error
+
+
 def _read_video(
     path: Path, size: int, fps: float | None, crop: tuple[int, int, int, int] | None, skip: float
 ) -> tuple[np.ndarray, float]:
     """Pictures uint8 [T, size, size, 3] and frames a second."""
-    import imageio_ffmpeg
-
     if not path.is_file():
         raise KeycldError(f"there is no video {path}: check the path.")
-    # A first look for size and rate; a reader that is told the filters cannot give them.
-    try:
-        look = imageio_ffmpeg.read_frames(path)
-        about: dict[str, Any] = next(look)  # pyright: ignore[reportAssignmentType]
-        look.close()
-    except (OSError, RuntimeError, StopIteration, KeyError, IndexError, ValueError) as error:
-        raise KeycldError(f"{path} cannot be read as a video: convert it to MP4 first.") from error
-    own, (width, height) = float(about["fps"]), about["size"]
-    rate = own if fps is None else float(fps)
-    if not 0 < rate <= own + 1e-3:
-        raise KeycldError(f"fps must be above 0 and at most the {own:g} of {path}, not {fps}.")
+    width, height, own = _probe(path)
+    rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
+    if not 0 < rate <= own + Fraction(1, 1000):
+        raise KeycldError(f"fps must be above 0 and at most the {float(own):g} of {path}, not {fps}.")
     left, top, side = _square(crop, width, height, path)
+    # The rate comes first: it also evens out the varying frame times of phones.
     filters = f"fps={rate},crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
-    reader = imageio_ffmpeg.read_frames(
-        path,
-        input_params=["-ss", str(skip)],
-        output_params=["-vf", filters, "-s", f"{size}x{size}"],
-        pix_fmt="rgb24",
-    )
-    next(reader)
-    pictures = [np.frombuffer(frame, np.uint8).reshape(size, size, 3) for frame in reader]
-    if not pictures:
+    raw = _ffmpeg("-ss", str(skip), "-i", str(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo")
+    frame = size * size * 3
+    pictures = np.frombuffer(raw, np.uint8)[: len(raw) // frame * frame].reshape(-1, size, size, 3)
+    if not len(pictures):
         raise KeycldError(f"{path} holds no frame after {skip:g} s: skip less.")
-    return np.stack(pictures), rate
+    return pictures, float(rate)
 
 
 def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, path: Path) -> tuple[int, int, int]:

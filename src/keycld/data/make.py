@@ -30,15 +30,17 @@ class Progress:
 
     Attributes:
         done: frames that exist.
-        fresh: frames of these drawn in this call; `fresh / seconds` is the speed.
         total: frames of the whole set.
+        fresh: frames of `done` drawn in this call; `fresh / seconds` is the speed.
         seconds: since the call.
+        what: the split that was just worked on.
     """
 
     done: int
-    fresh: int
     total: int
+    fresh: int
     seconds: float
+    what: str
 
 
 @dataclass(frozen=True)
@@ -47,13 +49,15 @@ class Made:
 
     Attributes:
         folder: where the data lie.
-        fresh: frames drawn in this call; 0 where all of the data were there already.
+        fresh: False where the finished data were there already.
+        frames: drawn in this call; fewer than the set's where interrupted work was taken up.
         seconds: of this call.
         renderer: what drew the pictures, for example the GL renderer's name.
     """
 
     folder: Path
-    fresh: int
+    fresh: bool
+    frames: int
     seconds: float
     renderer: str
 
@@ -113,18 +117,18 @@ def make_data(
     if _finished(folder, recipe):
         shutil.rmtree(folder / PARTIAL, ignore_errors=True)
         renderer = (read_statistics(folder) or {}).get("renderer", "")
-        return Made(folder, 0, time.monotonic() - began, renderer)
+        return Made(folder, False, 0, time.monotonic() - began, renderer)
     _begin(folder, recipe)
     parts = _parts(system, plan, protocol, folder / PARTIAL)
-    fresh = _draw(parts, workers, progress, began)
+    drawn = _draw(parts, workers, progress, began)
     for name in dict.fromkeys(part.split for part in parts):
         join([part.path for part in parts if part.split == name], folder / f"{name}.h5")
     renderer = read(parts[0].path, images=False).attributes["renderer"]
     seconds = time.monotonic() - began
-    made = {"recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1), "frames_drawn": fresh}
+    made = {"recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1), "frames_drawn": drawn}
     finish(folder, made)
     shutil.rmtree(folder / PARTIAL)
-    return Made(folder, fresh, time.monotonic() - began, renderer)
+    return Made(folder, True, drawn, time.monotonic() - began, renderer)
 
 
 def _plain(value: Any) -> Any:
@@ -146,22 +150,20 @@ def _same(wanted: dict[str, Any], found: Any, folder: Path) -> None:
     if wanted == found:
         return
     other = found if isinstance(found, dict) else {}
-    changed = [key for key in wanted if wanted[key] != other.get(key)]
-    if changed == ["splits"]:
-        changed = _changed_settings(wanted["splits"], other.get("splits", []))
+    changed = [key for key in wanted if key != "splits" and wanted[key] != other.get(key)]
+    changed += _changed_settings(wanted["splits"], other.get("splits", []))
     raise KeycldError(
         f"{folder} holds data made with another {' and '.join(changed)}: choose another folder, or delete it."
     )
 
 
 def _changed_settings(wanted: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]) -> list[str]:
-    """The names of the settings that differ."""
     changed: list[str] = []
     for new, old in zip(wanted, found, strict=False):
         flat_new, flat_old = new | new["conditions"], old | old.get("conditions", {})
         changed += [key for key in flat_new if key != "conditions" and flat_new[key] != flat_old.get(key)]
     words = {"seeds": "number of runs", "frames": "number of frames"}
-    return [words.get(key, key) for key in dict.fromkeys(changed)] or ["set of splits"]
+    return [words.get(key, key) for key in dict.fromkeys(changed)]
 
 
 def _begin(folder: Path, recipe: dict[str, Any]) -> None:
@@ -210,5 +212,5 @@ def _draw(
     for index, _ in run_in_processes([part.task for part in missing], workers=workers):
         fresh += missing[index].frames
         if progress is not None:
-            progress(Progress(already + fresh, fresh, total, time.monotonic() - began))
+            progress(Progress(already + fresh, total, fresh, time.monotonic() - began, missing[index].split))
     return fresh

@@ -140,7 +140,9 @@ def open_file(path: str | Path) -> Iterator[Any]:
         raise KeycldError(f"there is no file {path}: check the path.") from None
     except PermissionError:
         raise KeycldError(f"{path} may not be read: change its permissions.") from None
-    except (OSError, RuntimeError, KeyError) as error:  # h5py raises any of these on damaged bytes
+    except KeycldError:
+        raise
+    except Exception as error:  # on damaged bytes h5py may raise anything, or hand out None
         raise KeycldError(
             f"{path} is not a whole HDF5 file, it is truncated or damaged: copy or make it again ({error})."
         ) from error
@@ -194,13 +196,18 @@ def join(parts: Sequence[Path], path: Path) -> None:
     )
     with atomic(path) as temporary, h5py.File(temporary, "w") as file:
         _write_small(file, everything)
-        with open_file(parts[0]) as part:
-            shape = part["image"].shape[1:]
-        image = file.create_dataset("image", (len(everything), *shape), np.uint8, chunks=(1, *shape), **_COMPRESSION)
-        position = 0
-        for name in parts:
-            with open_file(name) as part:
-                for index in range(len(part["image"])):
-                    mask, chunk = part["image"].id.read_direct_chunk((index, 0, 0, 0, 0))
-                    image.id.write_direct_chunk((position, 0, 0, 0, 0), chunk, mask)
-                    position += 1
+        chunks = (chunk for part in parts for chunk in _chunks(part))
+        for position, (mask, chunk, shape) in enumerate(chunks):
+            if position == 0:
+                whole = (len(everything), *shape)
+                image = file.create_dataset("image", whole, np.uint8, chunks=(1, *shape), **_COMPRESSION)
+            image.id.write_direct_chunk((position, 0, 0, 0, 0), chunk, mask)
+
+
+def _chunks(path: Path) -> Iterator[tuple[int, bytes, tuple[int, ...]]]:
+    """Each recording's compressed pictures: filter mask, bytes, and shape [T, H, W, 3]."""
+    with open_file(path) as file:
+        image = file["image"]
+        for index in range(len(image)):
+            mask, chunk = image.id.read_direct_chunk((index, 0, 0, 0, 0))
+            yield mask, chunk, image.shape[1:]

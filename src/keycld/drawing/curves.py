@@ -75,7 +75,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class Limit:
-    """A horizontal (or, in a histogram, vertical) dashed line with a word on it."""
+    """A horizontal (or, in a histogram, vertical) dashed line with its name."""
 
     value: float
     label: str
@@ -170,18 +170,11 @@ def histogram_figure(
     with _settings(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
-        counts, edges, _ = axes.hist(values, bins=bins, range=span, color=INK.one, rwidth=0.88)
-        top = max(1.0, float(np.max(counts)))
-        # Each word has its own height, so that lines close to one another stay readable.
-        axes.set_ylim(0.0, top * (1.1 + 0.11 * len(limits)))
-        for k, limit in enumerate(sorted(limits, key=lambda each: each.value)):
-            axes.axvline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
-            left = limit.value < 0.6 * span[1] + 0.4 * span[0]
-            height = top * (1.1 + 0.11 * (len(limits) - 1 - k))
-            axes.annotate(
-                limit.label, (limit.value, height), (4 if left else -4, 0), textcoords="offset points",
-                ha="left" if left else "right", va="bottom", color=limit.colour, fontsize=8.5,
-            )  # fmt: skip
+        _, edges, _ = axes.hist(values, bins=bins, range=span, color=INK.one, rwidth=0.88)
+        for limit in limits:
+            axes.axvline(limit.value, color=limit.colour, linewidth=1.2, linestyle=(0, (4, 3)), label=limit.label)
+        if limits:
+            figure.legend(loc="outside upper left", ncols=len(limits))
         width = edges[1] - edges[0]
         axes.set_xlim(span[0] - 0.3 * width, span[1] + 0.3 * width)
         axes.yaxis.set_major_locator(MaxNLocator(integer=True))
@@ -199,7 +192,7 @@ def map_figure(
     value_label: str,
     *,
     spacings: tuple[float | None, float | None] = (None, None),
-    size: tuple[float, float] = (4.6, 3.7),
+    size: tuple[float, float] = (5.4, 4.5),
 ) -> Figure:
     """A function of two variables as colours with contour lines; `values[i, j]` is at (`x[j]`, `y[i]`)."""
     with _settings(_STYLE):
@@ -238,8 +231,8 @@ def strip_figure(
     margin = (stop - start) / (number - 1) / 2.0
     strip_height = width / number * thumbnails.shape[1] / thumbnails.shape[2]
     with _settings(_STYLE):
-        figure = Figure(figsize=(width, curve_height + strip_height + 0.3), layout="constrained")
-        above, below = figure.subplots(2, 1, height_ratios=(strip_height, curve_height))
+        figure = Figure(figsize=(width, curve_height + strip_height + 0.4), layout="constrained")
+        above, below = figure.subplots(2, 1, height_ratios=(1.05 * strip_height, curve_height))
         above.imshow(sheet([thumbnails], every=1, gap=2), interpolation="nearest", aspect="equal")
         above.set_anchor("S")
         above.set_axis_off()

@@ -88,9 +88,10 @@ def joining_velocity(
 ) -> Float[Array, "dim"]:
     """The velocity at x0 with which one frame step, sub-steps included, arrives at x1.
 
-    The fixed point of v ← P(v + (x1 − x̂1(v))/dt), started from P (x1 − x0)/dt, with x̂1(v) the end of the step
-    and P the projection on ker DΦ(x0). Each iteration shrinks the error by about half the square of the angle
-    turned in the frame. A backward difference would be half a frame old and carry the error of the chord.
+    A fixed point: v ← v + R(x1 − x̂(v))/dt from v = P₀(x1 − x0)/dt, where x̂(v) is the end of the step, P₀ and P₁
+    project on the velocities that the constraints allow at x0 and at x̂, and R = P₀(3 − P₁P₀)P₁/2 carries the
+    miss from x̂ back to x0 nearly without shrinking it. A backward difference, in contrast, is half a frame old
+    and has the length of the chord.
 
     Args:
         dynamics: a law of point masses with its integrator.
@@ -99,17 +100,20 @@ def joining_velocity(
         parameters: of the state, with `constants`.
         u: the input between them.
         dt: seconds between them.
-        iterations: 3 leave 2e-4 of the speed at 0.5 rad a frame, 1e-6 at 0.2 rad.
+        iterations: each multiplies the error by about θ⁴/3, θ the angle turned in the frame: 3 are enough
+            for float32 up to 0.5 rad.
 
     Returns:
         v at x0. The state at the second frame is the end of the step from (x0, v).
     """
 
-    def project(v):
-        return dynamics.law.project_velocity(x0, v, parameters)  # pyright: ignore[reportAttributeAccessIssue]
+    def project(x, v):
+        return dynamics.law.project_velocity(x, v, parameters)  # pyright: ignore[reportAttributeAccessIssue]
 
-    v = project((x1 - x0) / dt)
+    v = project(x0, (x1 - x0) / dt)
     for _ in range(iterations):
         reached = dynamics.step(State(Motion(x0, v), parameters), u, dt).coordinates.x
-        v = project(v + (x1 - reached) / dt)
+        miss = project(reached, (x1 - reached) / dt)
+        shrunk = project(reached, project(x0, miss))
+        v = v + project(x0, 1.5 * miss - 0.5 * shrunk)
     return v

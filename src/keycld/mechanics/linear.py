@@ -24,14 +24,14 @@ class Factors(NamedTuple):
 def _damped_inverse(pivot: Array, scale: Array) -> Array:
     """1/pivot, falling to zero where the pivot is lost in rounding beside `scale`, the untouched diagonal.
 
-    With r = pivot/scale it is r/(r² + ε²)/scale: exact to ε² for a sound pivot, zero for an empty one, so a
-    redundant constraint gets no multiplier instead of a random one.
+    With r = pivot/scale it is r³/(r⁴ + ε⁴)/scale: exact for a sound pivot, nothing for a lost one, so a
+    redundant constraint gets no multiplier instead of a random one; smooth between.
     """
     epsilon = float(jnp.finfo(pivot.dtype).eps) ** (2 / 3)
     sound = scale > float(jnp.finfo(pivot.dtype).tiny) ** 0.5
     safe = jnp.where(sound, scale, 1.0)
     ratio = pivot / safe
-    return jnp.where(sound, ratio / (ratio * ratio + epsilon * epsilon) / safe, 0.0)
+    return jnp.where(sound, ratio**3 / (ratio**4 + epsilon**4) / safe, 0.0)
 
 
 def factor(matrix: Float[Array, "n n"], reference: list[Array] | None = None) -> Factors:

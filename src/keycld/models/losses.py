@@ -54,33 +54,26 @@ class VisionLoss(AbstractLoss):
             "heat_map": _focus(model, seen.heat_maps, seen.keypoints, frames.shape[1:3], self.sigma),
             "constraint": jnp.sum(jnp.var(jax.vmap(model.dynamics.law.constraint)(x), axis=0)),
         }
-        total = (
-            terms["reconstruction"]
-            + self.heat_map * terms["heat_map"]
-            + self.constraint * terms["constraint"]
-        )
+        total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + self.constraint * terms["constraint"]
         return total, terms
 
 
 class TrackLoss(AbstractLoss):
-    """Learns to move, from cached keypoints: windows are rolled out from their first two frames.
+    """Learns to move, from cached keypoints: roll-outs start at the first two of each clip.
 
-    Mean over frames of the summed pseudo-Huber distance s²(√(1 + |Δx/s|²) − 1)·2 between the roll-out and the
-    cached keypoints, which is |Δx|² while small and grows linearly where a roll-out has lost its way.
+    Mean over frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components, between the roll-out
+    and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
+
+    - `scale`: s, in image-plane units.
     """
 
     scale: float = 0.1
 
     def __call__(self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray) -> tuple[Float[Array, ""], Terms]:
-        """Evaluates the loss on windows of consecutive keypoints."""
-        x = clips.keypoints
-        assert x is not None
-
-        def one(x: Array, u: Array, dt: Array) -> Array:
-            return _path(model, x, u, dt, x.shape[0])
-
-        error = jax.vmap(one)(x, clips.u, clips.dt) - x
-        track = jnp.mean(jnp.sum(_huber(error, self.scale), axis=-1))
+        """Evaluates the loss on clips of cached keypoints."""
+        assert clips.keypoints is not None
+        rolled = _rolled_out(model, clips.keypoints, clips)
+        track = jnp.mean(jnp.sum(_huber(rolled - clips.keypoints, self.scale), axis=-1))
         return track, {"track": track}
 
 
@@ -108,11 +101,7 @@ class PredictionLoss(AbstractLoss):
         frames = clips.frames.reshape(-1, height, width, 3)
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(batch, count, -1)
-
-        def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
-            return _path(model, x, u, dt, clips.span)[index]
-
-        rolled = jax.vmap(one)(x, clips.index, clips.u, clips.dt)
+        rolled = _rolled_out(model, x, clips)
         drawn = jax.vmap(model.renderer)(rolled.reshape(frames.shape[0], -1, 2))
         values = jax.vmap(model.dynamics.law.constraint)(x.reshape(batch * count, -1))
         terms = {
@@ -152,9 +141,7 @@ class CollocationLoss(AbstractLoss):
         def one(x: Array, u: Array, dt: Array) -> Array:
             velocity = (x[2:] - x[:-2]) / (2 * dt)
             seen = (velocity[2:] - velocity[:-2]) / (2 * dt)
-            inputs = (
-                jnp.broadcast_to(u[None, :], (count - 4, u.shape[0])) if u.ndim == 1 else u[2 : count - 2]
-            )
+            inputs = jnp.broadcast_to(u[None, :], (count - 4, u.shape[0])) if u.ndim == 1 else u[2 : count - 2]
             return seen - jax.vmap(law.acceleration)(x[2:-2], velocity[1:-1], inputs)
 
         defect = jax.vmap(one)(keypoints.reshape(batch, count, -1), clips.u, clips.dt)
@@ -165,10 +152,15 @@ class CollocationLoss(AbstractLoss):
         return terms["reconstruction"] + self.weight * terms["dynamics"], terms
 
 
-def _path(model: KeyCLD, x: Array, u: Array, dt: Array, span: int) -> Array:
-    """Positions `[span, 2K]` of the motion that starts at the first two of the seen keypoint sets."""
-    start = model.start(x[0], x[1], dt, u if u.ndim == 1 else u[0])
-    return model.rollout(start, dt, u if u.ndim == 1 else u[: span - 1], span - 1).coordinates.x
+def _rolled_out(model: KeyCLD, seen: Array, clips: Clip) -> Array:
+    """Positions `[batch, F, 2K]` at the clips' frames, of motions that start at the first two sightings."""
+
+    def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
+        start = model.start(x[0], x[1], dt, u if u.ndim == 1 else u[0])
+        inputs = u if u.ndim == 1 else u[: clips.span - 1]
+        return model.rollout(start, dt, inputs, clips.span - 1).coordinates.x[index]
+
+    return jax.vmap(one)(seen, clips.index, clips.u, clips.dt)
 
 
 def _squared_error(drawn: Array, frames: Array) -> Array:

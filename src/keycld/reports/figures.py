@@ -15,6 +15,7 @@ from keycld.drawing import (
     map_figure,
     overlay_keypoints,
     panels_figure,
+    sheet,
     strip_figure,
 )
 from keycld.evaluation import Evaluation, valid_prediction_time
@@ -75,7 +76,7 @@ def coordinate_figure(result: Evaluation) -> Figure:
     for k, each in enumerate(result.scores["state"]["coordinates"]):
         low, middle, high = np.nanquantile(errors[..., k], (0.1, 0.5, 0.9), axis=0)
         panels.append((f"{each['name']}, {each['unit']}", [Curve(frames, middle, low=low, high=high)]))
-    size = (5.4, 3.0) if len(panels) == 1 else (3.6, 2.6)
+    size = (5.4, 3.0) if len(panels) == 1 else (2.7, 2.8)
     return panels_figure(panels, "frame", columns=2, panel_size=size)
 
 
@@ -102,6 +103,13 @@ def deviation_figure(result: Evaluation) -> Figure:
     return curves_figure([curve], "seconds", "|Φ(x) − constant|", logarithmic=True, size=(5.4, 2.5))
 
 
+def grid_pictures(sweeps: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """Every other picture of a two-dimensional grid, laid out like the map of V: the first row is the lowest."""
+    rows, columns = sweeps[f"{name}/shape"]
+    image = sweeps[f"{name}/image"].reshape(rows, columns, *sweeps[f"{name}/image"].shape[1:])
+    return sheet(list(image[::2, ::2][::-1]), every=1)
+
+
 def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figure]]:
     """V along each path with pictures above it, and over each two-dimensional grid: name, what varies,
     figure.
@@ -120,7 +128,9 @@ def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figu
             table = (potential - potential.min()).reshape(rows, columns)
             axes = values.reshape(rows, columns, 2)
             down, right = (90.0 if label.endswith("degrees") else None for label in labels)
-            figure = map_figure(table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "V", spacings=(right, down))
+            figure = map_figure(
+                table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "potential energy V", spacings=(right, down)
+            )
         elif name == "grid":
             continue  # the same path again, with fewer points
         else:
@@ -138,7 +148,9 @@ def _path_figure(sweeps: Mapping[str, np.ndarray], name: str, values: np.ndarray
     curve = Curve(values, potential - middle)
     limits = (-0.58 * span, 0.58 * span)
     spacing = 45.0 if label.endswith("degrees") else None
-    return strip_figure([curve], pictures, label, "V", y_limits=limits if span > 0 else None, x_spacing=spacing)
+    return strip_figure(
+        [curve], pictures, label, "potential energy V", y_limits=limits if span > 0 else None, x_spacing=spacing
+    )
 
 
 def _in_degrees(values: np.ndarray, names: Sequence[str], units: Sequence[str]) -> tuple[np.ndarray, list[str]]:

@@ -20,8 +20,7 @@ def keypoints(run: Run) -> str:
     chart = figures.coordinate_figure(result)
     save_figure(run.folder / "media" / "state.png", chart)
     last = "; ".join(
-        f"{html.text(each['name'])} {html.number(each['last_median'])} {html.text(each['unit']).replace('deg', '°')}"
-        for each in state["coordinates"]
+        f"{html.text(each['name'])} {_with_unit(each['last_median'], each['unit'])}" for each in state["coordinates"]
     )
     note = (
         "The model was never told where anything is. An affine map from its keypoints to the true "
@@ -46,6 +45,10 @@ def keypoints(run: Run) -> str:
     )
 
 
+def _with_unit(value: float | None, unit: str) -> str:
+    return f"{html.number(value)}°" if unit == "deg" else f"{html.number(value)} {html.text(unit)}"
+
+
 def _pixels(distance: float | None, pixel: float) -> str:
     return "–" if distance is None else f"{distance / pixel:.2f}"
 
@@ -60,7 +63,9 @@ def potential(run: Run) -> str:
         varied = " and ".join(html.text(each) for each in vary.split(","))
         drawn = html.chart(figure, f"potential-{name}")
         if "," in vary:
+            pictures = html.image(figures.grid_pictures(run.sweeps, name), f"Pictures of the grid of {varied}")
             wide.append(html.figure(drawn, f"V over every combination of {varied}."))
+            wide.append(html.figure(pictures, "What the encoder saw there, every other row and column."))
         else:
             charts.append(html.figure(drawn, f"V as {varied} changes, all else at rest."))
     note = (

@@ -32,9 +32,9 @@ def head(run: Run) -> str:
             "predictions", "Prediction", "the run has not been evaluated; run keycld eval on it"
         )
     protocol = result.scores["protocol"]
+    found = " and found keypoints, their masses and an energy" if "masses" in result.scores else ""
     lede = (
-        f"The model has watched recordings of the {html.text(system)} and found keypoints, their masses and "
-        "an energy. "
+        f"The model has watched recordings of the {html.text(system)}{found}. "
         f"Here it is given the first {_word(protocol['given'])} frames of {result.scores['n']} "
         f"{_split(protocol['split'])} and predicts the following {protocol['horizon'] - protocol['given']}."
     )
@@ -94,10 +94,9 @@ def _headline(result: Evaluation) -> str:
     published = PAPER_VPT.get(scores["system"], {})
     if scores["protocol"]["horizon"] == 50 and "KeyCLD" in published:
         rows.append(("the paper’s KeyCLD", published["KeyCLD"], "paper"))
-    told = {"constant acceleration": "constant acceleration, told the true states"}
+    told = {"constant acceleration": ", told the true states"}
     rows += [
-        (told[name] if name in told else name, each["vpt"]["1"]["mean"], "trivial")
-        for name, each in scores["baselines"].items()
+        (name + told.get(name, ""), each["vpt"]["1"]["mean"], "trivial") for name, each in scores["baselines"].items()
     ]
     low, high = vpt["interval"]
     return (
@@ -167,7 +166,7 @@ def accuracy(run: Run) -> str:
     return html.section(
         "scores",
         "How long predictions hold",
-        html.grid(charts) + html.grid([_score_table(result), _definitions(result)]),
+        html.grid(charts) + _score_table(result) + _definitions(result),
     )
 
 
@@ -232,10 +231,12 @@ def long_horizons(run: Run) -> str:
             zip(movies.trajectory_movies(run.folder, farthest), figures.times_valid(farthest), strict=False)
         )
     ]
+    horizon = farthest.scores["protocol"]["horizon"]
+    driven = "" if farthest.arrays["u"].any() else " without input"
     note = (
-        f"Recordings of {farthest.arrays['mse'].shape[1]} frames without input, released at rest; training "
-        "saw none "
-        f"longer than the paper’s. Movies play {movies.speed(farthest)}."
+        f"The same model on recordings of {horizon} frames{driven}, {horizon * farthest.scores['dt']:.3g} "
+        "seconds. "
+        f"Movies play {movies.speed(farthest)}."
     )
     chart = html.figure(html.chart(error, "error-long"), "Error over time, as above.")
     return html.section(

@@ -84,6 +84,7 @@ class _Crew:
     def __init__(self, time_out: float):
         self._time_out = time_out
         self._workers: dict[int, _Worker] = {}
+        self._dismissed = False
 
     def run(self, task: Task) -> Any:
         try:
@@ -99,6 +100,8 @@ class _Crew:
 
     def _attempt(self, task: Task) -> Any:
         thread = threading.get_ident()
+        if self._dismissed:
+            raise _Lost("the job was given up")
         if thread not in self._workers:
             self._workers[thread] = _Worker()
         try:
@@ -107,7 +110,9 @@ class _Crew:
             self._workers.pop(thread).close()
             raise
 
-    def close(self) -> None:
+    def dismiss(self) -> None:
+        """End all workers; tasks under way are lost."""
+        self._dismissed = True
         for worker in list(self._workers.values()):
             worker.close()
 
@@ -136,12 +141,12 @@ def run_in_processes(
         raise KeycldError(f"workers must be at least 1, not {workers}.")
     count = max(1, min(MAX_WORKERS, workers or cores(), len(tasks)))
     crew = _Crew(time_out)
-    with ThreadPoolExecutor(count) as pool:
-        futures = {pool.submit(crew.run, task): index for index, task in enumerate(tasks)}
-        try:
-            for future in as_completed(futures):
-                yield futures[future], future.result()
-        finally:
-            for future in futures:
-                future.cancel()
-            crew.close()
+    pool = ThreadPoolExecutor(count)
+    futures = {pool.submit(crew.run, task): index for index, task in enumerate(tasks)}
+    try:
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    finally:
+        crew.dismiss()
+        pool.shutdown(cancel_futures=True)
+        crew.dismiss()  # a worker may have started while the others ended

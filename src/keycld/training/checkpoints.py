@@ -72,9 +72,7 @@ def read_position(checkpoint: Path) -> dict[str, Any]:
     try:
         return json.loads((checkpoint / "position.json").read_text())
     except (OSError, ValueError) as error:
-        raise KeycldError(
-            f"checkpoint {checkpoint} is damaged ({error}); delete it and train again."
-        ) from error
+        raise KeycldError(f"checkpoint {checkpoint} is damaged ({error}); delete it and train again.") from error
 
 
 def load_leaves(checkpoint: Path, like: Any) -> Any:

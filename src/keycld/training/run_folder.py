@@ -77,9 +77,7 @@ def read_config(folder: Path) -> RunConfig:
     try:
         return RunConfig(**json.loads(path.read_text()))
     except FileNotFoundError:
-        raise KeycldError(
-            f"{folder} is not a run folder (no config.json); train one with `keycld train`."
-        ) from None
+        raise KeycldError(f"{folder} is not a run folder (no config.json); train one with `keycld train`.") from None
     except (TypeError, ValueError) as error:
         raise KeycldError(f"{path} is not a configuration of this version of keycld: {error}.") from error
 
@@ -143,7 +141,5 @@ def _processor() -> str:
 
 def _commit() -> str | None:
     here = Path(__file__).parent
-    answer = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False
-    )
+    answer = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False)
     return answer.stdout.strip() or None

@@ -72,9 +72,7 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
     return eqx.filter_jit(run, donate="all-except-first")
 
 
-def diagnose(
-    stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident
-) -> KeycldError:
+def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
     """Names the step, the loss terms and the parameters that were not finite; `progress` is of that step."""
     clip_key, loss_key = step_keys(seed, number)
     clips = stage.sampler(data, clip_key, progress.step)
@@ -87,14 +85,10 @@ def diagnose(
     bad_terms = [name for name, value in terms.items() if not bool(jnp.isfinite(value))]
     leaves = jax.tree_util.tree_leaves_with_path(gradient)
     bad_leaves = [
-        jax.tree_util.keystr(path).lstrip(".")
-        for path, leaf in leaves
-        if not bool(jnp.all(jnp.isfinite(leaf)))
+        jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves if not bool(jnp.all(jnp.isfinite(leaf)))
     ]
     where = f"loss term {', '.join(bad_terms)}" if bad_terms else "the gradient only, no loss term"
-    which = (
-        f"{bad_leaves[0]} and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else "".join(bad_leaves)
-    )
+    which = f"{bad_leaves[0]} and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else "".join(bad_leaves)
     return KeycldError(
         f"not a finite number at step {int(progress.step)} of stage '{stage.name}': {where}; parameter "
         f"{which or 'none'}. The last checkpoint is intact; lower the learning rate or check the data."

@@ -67,7 +67,7 @@ def train(
     steps_per_dispatch = 1 if jax.default_backend() == "cpu" else 25
     config = RunConfig(
         data=str(dataset.folder),
-        system=dataset.system_name,
+        system=dataset.system,
         model="keycld",
         preset=preset,
         settings=recipe.settings(),
@@ -80,9 +80,7 @@ def train(
         command=shlex.join(sys.argv),
     )
     stages = recipe.stages(scene)
-    resident = Resident(
-        jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32)
-    )
+    resident = Resident(jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32))
     for stage in stages:
         stage.sampler.check(resident)
     open_run(folder, config)
@@ -121,9 +119,7 @@ def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[Abstr
     if config.constraints is not None:
         constraint = load_constraints(folder / "constraints.toml")
     elif constraint is None:
-        raise KeycldError(
-            f"{folder} was trained with a Python function as constraint; pass that function again."
-        )
+        raise KeycldError(f"{folder} was trained with a Python function as constraint; pass that function again.")
     scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
     model = make_recipe(config.preset, config.settings).model(scene, jax.random.key(0))
     # The model comes first among the leaves, so it can be read without the optimiser's state behind it.

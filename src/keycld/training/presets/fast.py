@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
-from keycld.data import RandomFrames, StartAndLater, Windows
+from keycld.data import RandomFrames, StartAndLater
 from keycld.mechanics import (
     AffineMLPInputMatrix,
     AffineMLPPotential,
@@ -28,14 +28,14 @@ class FastRecipe(AbstractRecipe):
     """See first, then move, then both: minutes on two CPU cores.
 
     1. `vision`: single frames; reconstruction, focused heat maps, constant constraint values.
-    2. `dynamics`: roll-outs on cached keypoints, no pictures; windows grow.
-    3. `joint`: everything together from two given frames, at growing horizons.
+    2. `dynamics`: roll-outs on cached keypoints, no pictures.
+    3. `joint`: everything together, drawn from motions that start at two given frames.
 
     - `width`: of the networks at half resolution. `stride`: pixels a heat-map cell.
     - `sigma`: width of the renderer's blobs, image-plane units.
     - `substeps`: RATTLE steps a frame.
-    - `*_steps`, `*_batch`, `*_rate`: of each stage. `horizons`: of the joint stages, in frames.
-    - `later`: later frames drawn a clip in the joint stages.
+    - `*_steps`, `*_batch`, `*_rate`: of each stage.
+    - `later`: later frames drawn a clip. `*_horizons`: frames that a clip spans, growing during the stage.
     """
 
     width: int = 16
@@ -45,15 +45,15 @@ class FastRecipe(AbstractRecipe):
     vision_steps: int = 1000
     vision_batch: int = 16
     vision_rate: float = 2e-3
-    windows: tuple[int, ...] = (8, 24)
-    dynamics_steps: int = 300
+    dynamics_steps: int = 600
     dynamics_batch: int = 64
     dynamics_rate: float = 1e-2
-    horizons: tuple[int, ...] = (8, 16, 32, 48)
-    joint_steps: int = 750
+    dynamics_horizons: tuple[int, ...] = (8, 24)
+    joint_steps: int = 6000
     joint_batch: int = 2
-    later: int = 6
     joint_rate: float = 1e-3
+    joint_horizons: tuple[int, ...] = (8, 16, 32, 50)
+    later: int = 6
 
     def model(self, scene: Scene, key: PRNGKeyArray) -> KeyCLD:
         """KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE."""
@@ -88,7 +88,7 @@ class FastRecipe(AbstractRecipe):
         return {f"dynamics.law.{name}.perceptron": 0.0 for name in names}
 
     def stages(self, scene: Scene) -> tuple[Stage, ...]:
-        """Vision, dynamics at each window, joint at each horizon that the trajectories allow."""
+        """Vision, dynamics, joint; horizons longer than the trajectories are cut."""
         vision = Stage(
             name="vision",
             steps=self.vision_steps,
@@ -99,40 +99,30 @@ class FastRecipe(AbstractRecipe):
             clip=1e3,
             prepare=measure_statistics,
         )
-        windows = [min(w, scene.frames) for w in self.windows]
-        dynamics = [
-            Stage(
-                name=f"dynamics-{window}",
-                steps=self.dynamics_steps,
-                sampler=Windows(self.dynamics_batch, window, cached=True),
-                loss=TrackLoss(),
-                # Affine energies and inputs first: with noisy keypoints the perceptrons would learn the noise.
-                rates={"dynamics": self.dynamics_rate, **self._perceptrons(scene)},
-                schedule=functools.partial(warmup_cosine, final=0.1),
-                clip=1.0,
-                prepare=cache_keypoints if window == windows[0] else None,
-            )
-            for window in dict.fromkeys(windows)
-        ]
-        horizons = list(dict.fromkeys(min(h, scene.frames) for h in self.horizons))
-        joint = [
-            Stage(
-                name=f"joint-{horizon}",
-                steps=self.joint_steps,
-                sampler=StartAndLater(self.joint_batch, horizon, min(self.later, horizon - 2)),
-                loss=PredictionLoss(),
-                rates={
-                    "estimator": self.joint_rate,
-                    "renderer": self.joint_rate,
-                    "dynamics": self.joint_rate,
-                },
-                schedule=functools.partial(warmup_cosine, final=0.02 if horizon == horizons[-1] else 0.3),
-                clip=1e3,
-                validate=True,
-            )
-            for horizon in horizons
-        ]
-        return (vision, *dynamics, *joint)
 
+        def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartAndLater:
+            within = tuple(min(horizon, scene.frames) for horizon in horizons)
+            return StartAndLater(batch, min(self.later, min(within) - 2), within, steps, cached)
 
-__all__ = ["FastRecipe"]
+        dynamics = Stage(
+            name="dynamics",
+            steps=self.dynamics_steps,
+            sampler=clips(self.dynamics_batch, self.dynamics_horizons, self.dynamics_steps, cached=True),
+            loss=TrackLoss(),
+            # Affine energies and inputs first: with noisy keypoints the perceptrons would learn the noise.
+            rates={"dynamics": self.dynamics_rate, **self._perceptrons(scene)},
+            schedule=functools.partial(warmup_cosine, final=0.1),
+            clip=1.0,
+            prepare=cache_keypoints,
+        )
+        joint = Stage(
+            name="joint",
+            steps=self.joint_steps,
+            sampler=clips(self.joint_batch, self.joint_horizons, self.joint_steps),
+            loss=PredictionLoss(),
+            rates={"estimator": self.joint_rate, "renderer": self.joint_rate, "dynamics": self.joint_rate},
+            schedule=warmup_cosine,
+            clip=1e3,
+            validate=True,
+        )
+        return vision, dynamics, joint

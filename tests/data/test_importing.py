@@ -1,0 +1,104 @@
+"""A video becomes a data set."""
+
+import numpy as np
+import pytest
+
+from keycld import KeycldError
+from keycld.data import check, import_video, open_data, read
+from keycld.drawing import save_movie
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory):
+    """120 frames, 25 a second, of a bright disc that swings over a dark ground, 96 × 64 pixels."""
+    row, column = np.mgrid[:64, :96]
+    frames = []
+    for k in range(120):
+        centre = 48 + 20 * np.sin(2 * np.pi * k / 40)
+        disc = (column - centre) ** 2 + (row - 32) ** 2 < 36
+        frames.append(np.where(disc[..., None], (220, 180, 40), (20, 30, 60)).astype(np.uint8))
+    path = tmp_path_factory.mktemp("video") / "swing.mp4"
+    save_movie(path, np.stack(frames), fps=25.0, scale=1)
+    return path
+
+
+def _centre(image):
+    disc = np.maximum(image[..., 0].astype(float) - 60.0, 0.0)
+    return np.sum(disc * np.arange(disc.shape[1])) / np.sum(disc)
+
+
+def test_a_video_becomes_three_splits(video, tmp_path):
+    out = import_video(video, tmp_path / "swing", size=32, frames=20)
+    assert check(out) == []
+    data = open_data(out)
+    assert (data.system, data.dt) == ("swing", 0.04)
+    train = data.train()
+    assert train.image.shape == (4, 20, 32, 32, 3)
+    assert (len(data.validation()), len(data.test())) == (1, 1)
+    assert train.state is None and not np.any(train.input)
+    for k in (0, 7, 13):
+        # The middle square of 64 pixels starts at column 16; two video pixels make one.
+        wanted = (48 + 20 * np.sin(2 * np.pi * k / 40) - 16) / 2 - 0.25
+        assert _centre(train.image[0, k]) == pytest.approx(wanted, abs=0.6)
+    assert (out / "README.md").exists() and (out / "preview.gif").exists()
+
+
+def test_time_runs_on_through_the_splits(video, tmp_path):
+    """Recordings follow one another; with frame 80 on as the test, the disc is where it was at frame 0."""
+    out = import_video(video, tmp_path / "a", size=32, frames=40)
+    train, test = read(out / "train.h5"), read(out / "test.h5")
+    assert _centre(test.image[0, 5]) == pytest.approx(_centre(train.image[0, 5]), abs=0.3)
+
+
+def test_crop_rate_and_skip(video, tmp_path):
+    out = import_video(video, tmp_path / "a", size=16, frames=10, fps=12.5, crop=(32, 16, 32, 32), skip=0.8)
+    train = read(out / "train.h5")
+    assert train.dt == pytest.approx(0.08) and train.image.shape[1:] == (10, 16, 16, 3)
+    wanted = (48 + 20 * np.sin(2 * np.pi * 20 / 40) - 32) / 2
+    assert _centre(train.image[0, 0]) == pytest.approx(wanted, abs=1.5)
+
+
+def test_several_videos(video, tmp_path):
+    out = import_video([video, video], tmp_path / "a", size=16, frames=30)
+    assert sum(len(read(out / f"{name}.h5")) for name in ("train", "validation", "test")) == 8
+
+
+def test_constraints_come_along(video, tmp_path):
+    toml = tmp_path / "mine.toml"
+    toml.write_text('keypoints = ["bob"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "bob"\n')
+    out = import_video(video, tmp_path / "a", size=16, frames=20, constraints=toml)
+    assert open_data(out).keypoints == ("bob",)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"frames": 50}, "the videos give 2 recordings of 50 frames"),
+        ({"frames": 2}, "at least 3 frames"),
+        ({"fps": 50.0}, "at most the 25 of"),
+        ({"fps": 0.0}, "fps must be above 0"),
+        ({"crop": (0, 0, 40, 30)}, "must be a square"),
+        ({"crop": (80, 0, 32, 32)}, "does not lie inside the 96 x 64 pixels"),
+        ({"size": 30}, "multiple of 4"),
+        ({"skip": -1.0}, "skip must be"),
+        ({"skip": 60.0}, "no frame after 60 s"),
+        ({"validation": 0.6, "test": 0.5}, "leave some for training"),
+    ],
+)
+def test_bad_wishes(video, tmp_path, changes, words):
+    with pytest.raises(KeycldError, match=words):
+        import_video(video, tmp_path / "a", **{"frames": 20, **changes})
+    assert not (tmp_path / "a").exists()
+
+
+def test_bad_files(video, tmp_path):
+    with pytest.raises(KeycldError, match="there is no video"):
+        import_video(tmp_path / "missing.mp4", tmp_path / "a")
+    (tmp_path / "text.mp4").write_text("not a video")
+    with pytest.raises(KeycldError, match="cannot be read as a video"):
+        import_video(tmp_path / "text.mp4", tmp_path / "a")
+    with pytest.raises(KeycldError, match="at least one video"):
+        import_video([], tmp_path / "a")
+    out = import_video(video, tmp_path / "b", size=16, frames=20)
+    with pytest.raises(KeycldError, match="already holds data"):
+        import_video(video, out, size=16, frames=20)

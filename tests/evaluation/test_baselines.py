@@ -1,0 +1,68 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import scenes
+from swing import without_pictures
+
+from keycld import KeycldError
+from keycld.data import DataSet, write
+from keycld.evaluation import baseline_errors, references
+from keycld.evaluation.baselines import extrapolate
+from keycld.evaluation.geometry import difference, embed, nearest
+
+ANGLE = np.array([True])
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("disc")
+    for k, (name, count) in enumerate((("train", 150), ("validation", 6), ("test", 6))):
+        write(folder / f"{name}.h5", scenes.disc_pendulum(count, 24, seed=k))
+    return DataSet(folder, None)
+
+
+def test_a_parabola_is_continued_exactly():
+    k = np.arange(20.0)
+    q = np.stack([0.3 + 0.2 * k - 0.01 * k**2, -0.1 * k], axis=-1)[None]
+    found = extrapolate(q[:, :3], 20, np.array([False, False]))
+    np.testing.assert_allclose(found, q, atol=1e-12)
+
+
+def test_angles_that_jump_at_a_full_turn_are_continued():
+    q = (3.0 + 0.1 * np.arange(10.0))[None, :, None]
+    wrapped = (q + np.pi) % (2 * np.pi) - np.pi
+    found = extrapolate(wrapped[:, :3], 10, ANGLE)
+    np.testing.assert_allclose(difference(found, q, ANGLE), 0.0, atol=1e-12)
+
+
+def test_nearest_configuration_is_found_across_the_cut_of_the_angle():
+    points = embed(np.array([[3.1], [0.0], [-2.0]]), ANGLE)
+    assert nearest(embed(np.array([[-3.1], [-1.6]]), ANGLE), points).tolist() == [0, 2]
+
+
+def test_baselines_know_what_they_should(data):
+    test = data.test()
+    shared = references(data)
+    errors = baseline_errors(test, 24, 2, shared)
+    assert set(errors) == {"mean image", "frozen frame", "constant acceleration"}
+    np.testing.assert_array_equal(errors["frozen frame"][:, :2], 0.0)
+    assert errors["frozen frame"][:, 5:].mean() > errors["frozen frame"][:, 2].mean()
+    assert errors["mean image"].mean() == pytest.approx(shared.epsilon, rel=0.2)
+    # Told the true states, the parabola is best at first and wrong after a quarter of a swing.
+    early, late = errors["constant acceleration"][:, :5].mean(), errors["constant acceleration"][:, -4:].mean()
+    assert early < 0.2 * shared.epsilon
+    assert late > 5 * early
+
+
+def test_without_true_states_two_baselines_remain(data):
+    shared = references(data)
+    test = dataclasses.replace(data.test(), state=None)
+    assert set(baseline_errors(test, 10, 2, shared)) == {"mean image", "frozen frame"}
+
+
+def test_data_without_pictures_are_refused(tmp_path):
+    for name in ("train", "validation"):
+        write(tmp_path / f"{name}.h5", without_pictures(scenes.disc_pendulum(2, 5, seed=0)))
+    with pytest.raises(KeycldError, match="no /image"):
+        references(DataSet(tmp_path, None))

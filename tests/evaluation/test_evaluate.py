@@ -1,0 +1,184 @@
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import scenes
+from swing import RADIUS, DiscSystem, Still, Swing
+
+from keycld import KeycldError, systems
+from keycld.data import DataSet, Trajectories, write
+from keycld.evaluation import (
+    Protocol,
+    evaluate,
+    evaluate_sweeps,
+    load_evaluation,
+    references,
+    save_evaluation,
+    summary,
+)
+
+PROTOCOL = Protocol("test@20", "test", 20, shown=3)
+
+
+@pytest.fixture(scope="module")
+def data(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("disc")
+    for k, (name, count) in enumerate((("train", 40), ("validation", 6), ("test", 7))):
+        write(folder / f"{name}.h5", scenes.disc_pendulum(count, 24, seed=k))
+    angle = np.linspace(-np.pi, np.pi, 24)
+    image = scenes.draw(RADIUS * np.sin(angle), -RADIUS * np.cos(angle))
+    write(
+        folder / "sweeps.h5",
+        Trajectories(
+            time=np.arange(24.0),
+            input=np.zeros((1, 1), np.float32),
+            image=image[None],
+            state=np.stack([angle, 0 * angle], axis=-1)[None],
+            parameters={
+                "name": np.array(["rotation"]), "vary": np.array(["angle"]),
+                "length": np.array([24]), "shape": np.array([[24, 1]]),
+            },
+            attributes=scenes.disc_pendulum(1, 3, seed=0).attributes,
+        ),
+    )  # fmt: skip
+    constraints = folder / "constraints.toml"
+    constraints.write_text(
+        'keypoints = ["disc"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "disc"\npoint = [0.0, 0.0]\n'
+    )
+    return DataSet(folder, constraints)
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """Make the test's system known for one test."""
+    systems.names()
+    monkeypatch.setitem(systems.registry._SYSTEMS, "disc", DiscSystem())
+
+
+@pytest.fixture(scope="module")
+def shared(data):
+    return references(data)
+
+
+def test_the_true_law_predicts_to_the_end_and_beats_every_baseline(data, shared, known):
+    done = []
+    result = evaluate(Swing.right(), data, PROTOCOL, shared=shared, progress=lambda k, n: done.append((k, n)))
+    scores = result.scores
+    vpt = scores["vpt"]["1"]
+    assert vpt["mean"] == 1.0 and vpt["frames"] == [20] * 7
+    assert all(vpt["mean"] > 1.3 * each["vpt"]["1"]["mean"] for each in scores["baselines"].values())
+    assert scores["mse"] < 0.1 * scores["epsilon"]
+    assert scores["state"]["residual"] < 0.02
+    assert scores["state"]["coordinates"][0]["unit"] == "deg"
+    assert scores["state"]["coordinates"][0]["last_median"] < 4.0
+    assert scores["drift"]["energy"]["worst"] < 0.02
+    assert scores["drift"]["constraint"]["worst"] < 1e-5
+    assert scores["masses"] == [1.0] and scores["keypoints"] == ["disc"]
+    assert done[-1] == (7, 7)
+
+
+def test_arrays_for_the_report(data, shared, known):
+    arrays = evaluate(Swing.right(), data, PROTOCOL, shared=shared).arrays
+    shapes = {name: value.shape for name, value in arrays.items()}
+    assert shapes["mse"] == shapes["landmark_error"] == shapes["baseline_mse_mean_image"] == (7, 20)
+    assert shapes["coordinate_error"] == (7, 20, 1)
+    assert shapes["truth"] == shapes["prediction"] == (3, 20, 16, 16, 3)
+    assert shapes["keypoints"] == shapes["observed_keypoints"] == (3, 20, 1, 2)
+    assert shapes["heat_maps"] == (3, 20, 1, 16, 16)
+    for name in ("kinetic", "potential", "deviation", "free_kinetic", "free_potential"):
+        assert shapes[name] == (3, 20)
+    assert arrays["prediction"].dtype == arrays["truth"].dtype == arrays["heat_maps"].dtype == np.uint8
+    np.testing.assert_array_equal(arrays["truth"], data.test().image[:3, :20])
+    np.testing.assert_allclose(arrays["keypoints"], arrays["observed_keypoints"], atol=0.05)
+
+
+def test_weaker_gravity_scores_less(data, shared):
+    right = evaluate(Swing.right(), data, PROTOCOL, shared=shared).scores
+    wrong = evaluate(Swing.right(gravity=2.0), data, PROTOCOL, shared=shared).scores
+    assert wrong["vpt"]["1"]["mean"] < 0.8 * right["vpt"]["1"]["mean"]
+    assert wrong["vpt"]["0.25"]["mean"] <= wrong["vpt"]["1"]["mean"]
+
+
+def test_only_the_given_frames_and_inputs_reach_the_model(data, shared):
+    """Later pictures and all true states are spoiled; the prediction must stay the same."""
+
+    class Spoiled(DataSet):
+        def split(self, name, *, images=True):
+            found = super().split(name, images=images)
+            image = found.image.copy()
+            image[:, PROTOCOL.given :] = 77
+            return dataclasses.replace(found, image=image, state=0 * found.state)
+
+    honest = evaluate(Swing.right(), data, PROTOCOL, shared=shared).arrays
+    spoiled = evaluate(Swing.right(), Spoiled(data.folder, data.constraints_file), PROTOCOL, shared=shared).arrays
+    np.testing.assert_array_equal(spoiled["prediction"], honest["prediction"])
+    np.testing.assert_array_equal(spoiled["keypoints"], honest["keypoints"])
+
+
+def test_a_model_without_keypoints_and_energies_is_scored_too(data, shared, known):
+    result = evaluate(Still(), data, PROTOCOL, shared=shared)
+    frozen = result.scores["baselines"]["frozen frame"]["vpt"]["1"]["mean"]
+    assert result.scores["vpt"]["1"]["mean"] == pytest.approx(frozen, abs=0.1)
+    assert not {"state", "drift", "masses", "keypoints"} & set(result.scores)
+    assert not {"heat_maps", "kinetic", "free_kinetic"} & set(result.arrays)
+    assert evaluate_sweeps(Still(), data).arrays == {}
+
+
+def test_data_without_true_states_or_of_an_unknown_system_give_no_probe(data, shared):
+    assert "state" not in evaluate(Swing.right(), data, PROTOCOL, shared=shared).scores
+
+
+def test_input_that_changes_with_time(data, shared):
+    """The same input, once constant and once written for every frame."""
+
+    class Varying(DataSet):
+        def split(self, name, *, images=True):
+            found = super().split(name, images=images)
+            u = np.repeat(found.input[:, None], found.frames, axis=1)
+            return dataclasses.replace(found, input=u)
+
+    constant = evaluate(Swing.right(), data, PROTOCOL, shared=shared).arrays
+    varying = evaluate(Swing.right(), Varying(data.folder, None), PROTOCOL, shared=shared).arrays
+    np.testing.assert_allclose(varying["keypoints"], constant["keypoints"], atol=1e-5)
+
+
+def test_the_potential_along_a_turn_is_gravity(data):
+    arrays = evaluate_sweeps(Swing.right(), data).arrays
+    potential = arrays["rotation/potential"]
+    expected = -9.0 * RADIUS * RADIUS * np.cos(arrays["rotation/values"][:, 0])
+    np.testing.assert_allclose(potential, expected, atol=0.1)
+    assert arrays["units"].tolist() == ["rad"] and arrays["rotation/keypoints"].shape == (24, 1, 2)
+
+
+def test_results_survive_the_disk(data, shared, known, tmp_path):
+    result = evaluate(Swing.right(), data, PROTOCOL, shared=shared)
+    result.scores["odd"] = [float("nan"), np.float32(1.5)]
+    path = save_evaluation(tmp_path, PROTOCOL.name, result)
+    assert path == tmp_path / "evaluation" / "test@20.json"
+    again = load_evaluation(tmp_path, PROTOCOL.name)
+    assert again.scores["odd"] == [None, 1.5]
+    assert again.scores["vpt"] == json.loads(json.dumps(result.scores["vpt"]))
+    for name, value in result.arrays.items():
+        np.testing.assert_array_equal(again.arrays[name], value)
+    assert {p.name for p in path.parent.iterdir()} == {"test@20.json", "test@20.npz"}
+
+
+def test_the_summary_shows_the_baselines_beside_the_model(data, shared):
+    text = summary(evaluate(Swing.right(), data, PROTOCOL, shared=shared).scores)
+    assert "this model" in text and "1.000" in text
+    for name in ("mean image", "frozen frame", "constant acceleration"):
+        assert name in text
+
+
+def test_what_cannot_be_scored_is_named(data, shared, tmp_path):
+    with pytest.raises(KeycldError, match="scores 30 frames of test.h5, which has 24 frames"):
+        evaluate(Swing.right(), data, Protocol("long", "test", 30), shared=shared)
+    with pytest.raises(KeycldError, match="needs 2 given frames"):
+        evaluate(Swing.right(), data, Protocol("one", "test", 10, given=1), shared=shared)
+    with pytest.raises(KeycldError, match="run `keycld eval`"):
+        load_evaluation(tmp_path, "test@50")
+    (tmp_path / "evaluation").mkdir()
+    (tmp_path / "evaluation" / "test@50.json").write_text("{")
+    with pytest.raises(KeycldError, match="damaged"):
+        load_evaluation(tmp_path, "test@50")
