@@ -2,14 +2,14 @@ import dataclasses
 
 import numpy as np
 import pytest
-import scenes
-from swing import without_pictures
 
+import scenes
 from keycld import KeycldError
 from keycld.data import DataSet, write
 from keycld.evaluation import baseline_errors, references
 from keycld.evaluation.baselines import extrapolate
 from keycld.evaluation.geometry import difference, embed, nearest
+from swing import without_pictures
 
 ANGLE = np.array([True])
 

@@ -1,12 +1,12 @@
 import h5py
 import numpy as np
 import pytest
-import scenes
-from swing import Still, Swing, without_pictures
 
+import scenes
 from keycld import KeycldError
 from keycld.data import write
 from keycld.evaluation import predict_batch, predict_file
+from swing import Still, Swing, without_pictures
 
 
 @pytest.fixture

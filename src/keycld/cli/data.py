@@ -26,10 +26,8 @@ def make(
 ) -> None:
     """Make a system's data set with MuJoCo: pictures, true states, sweeps, card, statistics, preview.
 
-    Interrupted work is taken up by the same command; finished data is left as it is.
-
     Args:
-        system: pendulum, cartpole or acrobot.
+        system: pendulum, cartpole or acrobot. Interrupted work is taken up; finished data is left as it is.
         out: Folder; data/SYSTEM unless told.
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version).
         control: Which inputs act: none, under (the second does not) or full. Default: the protocol's.
@@ -58,8 +56,7 @@ def make(
     if not made.fresh:
         print(f"{made.folder} is already there, nothing to do")
         return
-    speed = made.frames / max(made.seconds, 1e-9)
-    print(f"made {made.folder}: {made.frames} frames in {made.seconds:.0f} s ({speed:.0f} frames/s, {made.renderer})")
+    print(f"made {made.folder} in {made.seconds:.0f} s, drawn by {made.renderer}")
 
 
 def check(data: tyro.conf.Positional[Path], /) -> None:

@@ -10,8 +10,16 @@ from keycld import KeycldError, __version__
 from keycld._errors import unknown
 from keycld.cli import data, demo, evaluate, info, predict, report, train
 
+
+
+def data_sets() -> None:
+    """Make, check, look at or import data sets: see `keycld data --help`."""
+    main(["data", "--help"])
+
+
 VERBS: dict[str, Callable] = {
     "demo": demo.demo,
+    "data": data_sets,
     "train": train.train,
     "eval": evaluate.evaluate,
     "predict": predict.predict,
@@ -44,8 +52,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(__version__)
             return 0
         if words and not words[0].startswith("-") and words[0] not in verbs:
-            names = list(verbs) if prog == "keycld data" else [*verbs, "data"]
-            raise unknown("verb", words[0], names)
+            raise unknown("verb", words[0], verbs)
         tyro.extras.subcommand_cli_from_dict(
             verbs,
             prog=prog,

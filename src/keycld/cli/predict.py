@@ -8,12 +8,10 @@ import tyro
 def predict(run: tyro.conf.Positional[Path], /, *, data: Path, out: Path) -> None:
     """Predict all frames of every trajectory in a file from its first frames and its inputs alone.
 
-    Writes /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
-
     Args:
         run: Run folder.
         data: HDF5 file in keycld's format.
-        out: HDF5 file to write.
+        out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
     """
     from keycld.evaluation import predict_file
     from keycld.training import load_run

@@ -26,16 +26,14 @@ def train(
 ) -> None:
     """Train a model from pictures; the same command resumes a run that was killed.
 
-    `keycld train pendulum` makes the pendulum's data first if they are not there. A folder of your own data needs a
-    constraints.toml beside it, or --constraints.
-
     Args:
-        data: A system (pendulum, cartpole, acrobot) or the folder of a data set.
+        data: A system (pendulum, cartpole, acrobot), whose data are made first if they are not there, or the folder of
+            a data set; your own needs a constraints.toml beside it, or --constraints.
         model: What to train: keycld.
         preset: The whole recipe: fast (default; minutes on two cores) or paper (arXiv v1 as published; needs a GPU).
         seed: Decides weights and data order. Same seed, machine and settings: same bits.
         out: Run folder; runs/DATA-MODEL-PRESET-SEED unless told.
-        set: Settings of the preset to change, such as vision_steps=500 horizons=8,16 width=24.
+        set: Settings of the preset to change, such as vision_steps=500 joint_horizons=8,16 width=24.
         constraints: TOML file with the constraints, instead of the data's own.
         config: A run's config.json: trains the same again (data, preset, settings, seed).
         track: Also send metrics to none, wandb, trackio or tensorboard.

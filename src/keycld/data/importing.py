@@ -62,7 +62,7 @@ def import_video(
     """
     began = time.monotonic()
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
-    _check_numbers(sources, size, frames, skip, validation, test)
+    _check_numbers(sources, size, fps, frames, skip, validation, test)
     out = Path(out)
     if any(out.glob("*.h5")):
         raise KeycldError(f"{out} already holds data: choose another folder, or delete it first.")
@@ -97,12 +97,14 @@ def import_video(
 
 
 def _check_numbers(
-    sources: Sequence[Path], size: int, frames: int, skip: float, validation: float, test: float
+    sources: Sequence[Path], size: int, fps: float | None, frames: int, skip: float, validation: float, test: float
 ) -> None:
     if not sources:
         raise KeycldError("name at least one video.")
     if size < 8 or size % 4:
         raise KeycldError(f"size must be a multiple of 4 and at least 8, not {size}.")
+    if fps is not None and not 0 < fps < float("inf"):
+        raise KeycldError(f"fps must be above 0, not {fps}.")
     if frames < 3:
         raise KeycldError(f"a recording needs at least 3 frames, not {frames}.")
     if not skip >= 0:

@@ -250,7 +250,7 @@ def strip_figure(
 def figure_svg(figure: Figure, name: str) -> str:
     """The figure as an `<svg>` element whose words stay words, to be set inside a page.
 
-    `name` keeps the identifiers of several figures in one page apart. Same figure and name, same text.
+    `name` keeps the identifiers of several figures in one page apart.
     """
     settings = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
     with _settings(settings), io.StringIO() as buffer:

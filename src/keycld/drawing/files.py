@@ -45,7 +45,7 @@ def save_image(path: str | Path, frame: Shaped[np.ndarray, "H W 3"]) -> None:
         imageio.v3.imwrite(temporary, as_uint8(frame))
 
 
-def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: float = 25.0, scale: int = 4) -> None:
+def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: float | int = 25, scale: int = 4) -> None:
     """Write a movie, each pixel enlarged to a block of `scale` × `scale`.
 
     Args:

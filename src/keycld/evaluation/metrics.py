@@ -29,7 +29,7 @@ def _flat(frames: np.ndarray) -> np.ndarray:
 
 
 def frame_errors(
-    truth: Shaped[np.ndarray, "N T H W C"], prediction: Shaped[np.ndarray, "N T H W C"]
+    truth: Shaped[np.ndarray, "N T H W C"], prediction: Shaped[np.ndarray, "_ _ _ _ _"]
 ) -> Float[np.ndarray, "N T"]:
     """Mean over pixels and channels of (truth − prediction)², frame by frame; values in [0, 1] squared.
 
@@ -42,7 +42,7 @@ def frame_errors(
 
 
 def relative_errors(
-    truth: Shaped[np.ndarray, "N T H W C"], prediction: Shaped[np.ndarray, "N T H W C"]
+    truth: Shaped[np.ndarray, "N T H W C"], prediction: Shaped[np.ndarray, "_ _ _ _ _"]
 ) -> Float[np.ndarray, "N T"]:
     """Σ(truth − prediction)² / Σ truth² of each frame, as in "Which priors matter?".
 

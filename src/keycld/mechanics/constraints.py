@@ -20,17 +20,17 @@ class AbstractConstraint(eqx.Module):
 
     The dynamics keep Φ at the value it has at the start, so constants (lengths, heights) need not be known
     (paper, end of section 2): only DΦ enters eq. (6), and RATTLE reads the constants from the state.
+
+    Attributes:
+        dimension: 2K, the length of x.
     """
+
+    dimension: eqx.AbstractVar[int]
 
     @property
     @abc.abstractmethod
     def count(self) -> int:
         """Number of scalar constraints, n; zero is allowed."""
-
-    @property
-    @abc.abstractmethod
-    def dimension(self) -> int:
-        """2K, the length of x."""
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
@@ -166,7 +166,7 @@ class FunctionConstraint(AbstractConstraint):
     """
 
     function: Callable
-    dimension: int = eqx.field(static=True)  # pyright: ignore[reportIncompatibleMethodOverride]
+    dimension: int = eqx.field(static=True)
 
     @property
     def count(self) -> int:

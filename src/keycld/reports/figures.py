@@ -118,7 +118,7 @@ def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figu
     """
     kinds = list(zip(sweeps["names"], sweeps["vary"], sweeps["units"], strict=True))
     paths = [kind for kind in kinds if "," not in kind[1] and kind[0] != "grid"]
-    span = max((np.ptp(sweeps[f"{name}/potential"]) for name, _, _ in paths), default=1.0)
+    span = max((float(np.ptp(sweeps[f"{name}/potential"])) for name, _, _ in paths), default=1.0)
     found = []
     for name, vary, units in kinds:
         potential = sweeps[f"{name}/potential"]

@@ -20,6 +20,11 @@ _SECTIONS = (
     run_sections.reproduction,
 )
 
+# The browser itself refuses everything that is not in the file.
+_POLICY = (
+    "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+)
+
 # Stops and starts a movie on a click, respects a wish for less motion, shows the GIF where H.264 is unknown.
 _SCRIPT = """
 const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
@@ -52,6 +57,7 @@ def write_report(run_folder: str | Path) -> Path:
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark"><link rel="icon" href="data:,">'
+        f'<meta http-equiv="Content-Security-Policy" content="{_POLICY}">'
         f"<title>{html.text(title)}</title><style>{style}</style></head>"
         f"<body><main>{body}</main><footer>Written by <b>keycld report</b> from the results in this run’s "
         "folder."

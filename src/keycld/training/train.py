@@ -150,7 +150,8 @@ def make_recipe(preset: str, settings: dict[str, Any]) -> AbstractRecipe:
             value = float(value)
         if type(value) is not type(default):
             raise KeycldError(
-                f"setting {name} of preset '{preset}' takes a {type(default).__name__} such as {default}, not {value!r}."
+                f"setting {name} of preset '{preset}' takes a {type(default).__name__} "
+                f"such as {default}, not {value!r}."
             )
         values[name] = value
     return kind(**values)

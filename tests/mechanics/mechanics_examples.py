@@ -1,0 +1,67 @@
+"""Mechanical systems whose motion is known, shared by the tests of the room."""
+
+from pathlib import Path
+
+import jax.numpy as jnp
+import numpy as np
+
+from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    FixedDistance,
+    Motion,
+    OnLine,
+    PointMasses,
+    State,
+)
+
+GOLDEN = Path(__file__).parent / "golden"
+GRAVITY = 9.81
+
+
+def weight(masses):
+    """The potential energy of point masses in gravity."""
+    masses = np.asarray(masses)
+    return lambda x: GRAVITY * jnp.sum(jnp.asarray(masses, x.dtype) * x[1::2])
+
+
+def law(masses, constraint, input_matrix=None, damping=None, potential=None):
+    masses = jnp.asarray(masses, float)
+    return ConstrainedLagrangian(
+        PointMasses(jnp.sqrt(masses)), potential or weight(masses), input_matrix, constraint, damping
+    )
+
+
+def pendulum(**options):
+    return law([1.0], Constraints(("bob",), (DistanceToPoint("bob"),)), **options)
+
+
+def double_pendulum(masses=(1.0, 0.7), **options):
+    items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
+    return law(masses, Constraints(("elbow", "tip"), items), **options)
+
+
+def cartpole(masses=(1.0, 0.5), **options):
+    items = (OnLine("cart"), FixedDistance("cart", "tip"))
+    return law(masses, Constraints(("cart", "tip"), items), **options)
+
+
+def on_circle(angles, lengths=None):
+    """Joints of a chain hung at the origin; angles from straight down, counter-clockwise."""
+    angles = np.asarray(angles, float)
+    lengths = np.ones_like(angles) if lengths is None else np.asarray(lengths)
+    steps = lengths[:, None] * np.stack([np.sin(angles), -np.cos(angles)], axis=1)
+    return jnp.asarray(np.cumsum(steps, axis=0).reshape(-1), float)
+
+
+def start(law, x, v=None):
+    """A state on the constraints, with the velocity made tangential."""
+    x = jnp.asarray(x, float)
+    v = law.project_velocity(x, jnp.zeros_like(x) if v is None else jnp.asarray(v, float))
+    return State(Motion(x, v), {"constants": law.constraint(x)})
+
+
+def last(motion):
+    """The last of stacked motions."""
+    return Motion(motion.x[-1], motion.v[-1])

@@ -1,0 +1,160 @@
+"""Constraints: their values, their composition, and what is said about mistakes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld import KeycldError
+from keycld.mechanics import (
+    Constraints,
+    DistanceToPoint,
+    FixedDistance,
+    FunctionConstraint,
+    OnLine,
+    dump_constraints,
+    load_constraints,
+)
+
+X = jnp.array([1.0, 2.0, 4.0, 6.0])
+
+
+def test_values_and_order():
+    constraints = Constraints(
+        ("cart", "tip"),
+        (OnLine("cart", (0.0, 2.0)), FixedDistance("cart", "tip"), DistanceToPoint("tip", (1.0, 2.0))),
+    )
+    # The normal of a line along +y points along −x.
+    np.testing.assert_allclose(constraints(X), [-1.0, 25.0, 25.0], rtol=1e-6)
+    assert (constraints.count, constraints.dimension) == (3, 4)
+
+
+def test_sliding_along_the_line_changes_nothing():
+    line = Constraints(("a",), (OnLine("a", (3.0, 4.0)),))
+    x = jnp.array([0.3, -0.2])
+    np.testing.assert_allclose(line(x + jnp.array([3.0, 4.0])), line(x), atol=1e-6)
+    # The normal has unit length: Φ is a distance.
+    np.testing.assert_allclose(line(x + jnp.array([-0.8, 0.6])) - line(x), [1.0], atol=1e-6)
+
+
+def test_none_at_all():
+    free = Constraints(("cart", "tip"))
+    assert free.count == 0 and free(X).shape == (0,)
+
+
+def test_pivot_of_each_trajectory():
+    constraints = Constraints(("bob",), (DistanceToPoint("bob", "pivot"),))
+    values = jax.vmap(lambda p: constraints(X[:2], {"pivot": p}))(jnp.array([[0.0, 0.0], [1.0, 0.0]]))
+    np.testing.assert_allclose(values, [[5.0], [4.0]])
+    with pytest.raises(KeycldError, match="'bob' turns around the parameter 'pivot'.*there: constants"):
+        constraints(X[:2], {"constants": jnp.zeros(1)})
+
+
+def test_functions_join_relations():
+    def product(x, parameters):
+        return x[0] * x[3]
+
+    def both(x, parameters):
+        return x[:2] ** 2
+
+    constraints = Constraints(("cart", "tip"), (FixedDistance("cart", "tip"), product, both))
+    np.testing.assert_allclose(constraints(X), [25.0, 6.0, 1.0, 4.0])
+    assert constraints.count == 4
+    nested = Constraints(("cart", "tip"), (constraints, OnLine("cart")))
+    assert nested.count == 5
+
+
+def test_function_that_reads_parameters():
+    constraint = FunctionConstraint(lambda x, parameters: x @ parameters["normal"], 2)
+    np.testing.assert_allclose(constraint(X[:2], {"normal": jnp.array([3.0, 4.0])}), [11.0])
+    with pytest.raises(KeycldError, match="known only with the parameter 'normal'"):
+        _ = constraint.count
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Constraints(("cart", "tip"), (OnLine("card"),)), "unknown keypoint 'card': did you mean 'cart'"),
+        (lambda: Constraints(()), "at least one keypoint"),
+        (lambda: Constraints("cart"), "not the one text"),
+        (lambda: Constraints(("cart", " ")), "not empty"),
+        (lambda: Constraints(("cart", "cart")), "'cart' is named twice"),
+        (lambda: FixedDistance("cart", "cart"), "two different keypoints"),
+        (lambda: OnLine("cart", (0, 0)), r"direction \(0, 0\)"),
+        (lambda: OnLine("cart", (1, 2, 3)), "two finite numbers"),
+        (lambda: OnLine("cart", (1, float("nan"))), "two finite numbers"),
+        (lambda: DistanceToPoint("tip", 3), "two finite numbers"),
+        (lambda: DistanceToPoint("tip", ""), "empty"),
+        (lambda: Constraints(("a",), (7,)), "'int' is no constraint"),
+        (lambda: Constraints(("a",), (Constraints(("a", "b")),)), "4 coordinates cannot join 1"),
+        (lambda: FunctionConstraint(lambda x, _: jnp.outer(x, x), 2)(X[:2]), r"float32 of shape \(2, 2\)"),
+    ],
+)
+def test_mistakes(make, message):
+    with pytest.raises(KeycldError, match=message):
+        make()
+
+
+ALL = Constraints(
+    ("cart", 'a "quoted"\ttip', "Δ"),
+    (
+        OnLine("cart", (1.0, 0.5)),
+        FixedDistance("cart", "Δ"),
+        DistanceToPoint('a "quoted"\ttip', (0.25, -1e-3)),
+        DistanceToPoint("Δ", "pivot"),
+    ),
+)
+
+
+@pytest.mark.parametrize("constraints", [ALL, Constraints(("a", "b"))])
+def test_toml_round_trip(tmp_path, constraints):
+    path = tmp_path / "constraints.toml"
+    path.write_text(dump_constraints(constraints), encoding="utf-8")
+    read = load_constraints(path)
+    assert read == constraints
+
+
+def test_functions_have_no_toml():
+    with pytest.raises(KeycldError, match="FunctionConstraint cannot be written"):
+        dump_constraints(Constraints(("a",), (lambda x, _: x[0],)))
+
+
+HEAD = 'keypoints = ["cart", "tip"]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "needs the names of the keypoints"),
+        ("keypoints = [", "not valid TOML"),
+        ('keypoints = ["a"]\nlength = 3', "unknown entry 'length'"),
+        ('keypoints = ["a"]\nconstraint = 3', r"begin each with \[\[constraint\]\]"),
+        (HEAD + "[[constraint]]\nkeypoint = 'cart'", "constraint 1: it needs a kind"),
+        (HEAD + "[[constraint]]\nkind = 'on_lines'", "constraint 1: unknown kind .* did you mean 'on_line'"),
+        (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'carf'", "constraint 1: .*did you mean 'cart'"),
+        (HEAD + "[[constraint]]\nkind = 'on_line'", "constraint 1: .* needs the entry 'keypoint'"),
+        (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 3", "constraint 1: 'keypoint' is a name"),
+        (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'cart'\npoint = 1", "unknown entry of a on_line"),
+        (
+            HEAD
+            + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'cart'\n"
+            + "[[constraint]]\nkind = 'fixed_distance'\nbetween = ['cart']",
+            "constraint 2: 'between' is two keypoints",
+        ),
+    ],
+)
+def test_toml_mistakes_name_file_entry_and_mend(tmp_path, text, message):
+    path = tmp_path / "mine.toml"
+    path.write_text(text)
+    with pytest.raises(KeycldError, match=f"mine.toml.*{message}"):
+        load_constraints(path)
+
+
+def test_toml_files_that_cannot_be_read(tmp_path):
+    with pytest.raises(KeycldError, match="there is no constraints file"):
+        load_constraints(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(KeycldError, match="cannot be read as text"):
+        load_constraints(tmp_path / "binary.toml")
+    with pytest.raises(KeycldError, match="cannot be read"):
+        load_constraints(tmp_path)

@@ -1,0 +1,199 @@
+"""Constrained Cartesian mechanics against what is known: MuJoCo, angles, a linkage with a bar too many."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_examples import GOLDEN, GRAVITY, double_pendulum, last, law, on_circle, pendulum, start
+
+from keycld.mechanics import (
+    RK4,
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    FixedDistance,
+    GeneralizedLagrangian,
+    MechanicalDynamics,
+    Motion,
+    OnLine,
+    PointMasses,
+    Rattle,
+    RigidBody,
+    State,
+    pulled_back,
+    two_point_masses,
+)
+
+
+def body(golden, index):
+    centre = np.array([0.0, float(golden["body_centre"][index])])
+    return RigidBody(float(golden["body_mass"][index]), float(golden["body_inertia"][index]), centre)
+
+
+def turned(arm):
+    """Per unit of clockwise angle, how a point at the end of an arm moves: MuJoCo's angles grow from +z to +x."""
+    return jnp.stack([arm[1], -arm[0]])
+
+
+def mujoco_cartpole(golden):
+    pole = two_point_masses(body(golden, 1), np.zeros(2))
+    masses = np.array([golden["body_mass"][0] + pole.masses[0], pole.masses[1]])
+    length = float(np.linalg.norm(pole.points[1]))
+
+    def input_matrix(x):
+        arm = x[2:] - x[:2]
+        couple = turned(arm) / jnp.sum(arm * arm)
+        slide = jnp.array([4.0, 0.0, 0.0, 0.0])
+        return jnp.stack([slide, jnp.concatenate([-couple, couple])], axis=1)
+
+    system = ConstrainedLagrangian(
+        PointMasses(jnp.sqrt(jnp.asarray(masses, float))),
+        lambda x: GRAVITY * jnp.sum(jnp.asarray(masses, x.dtype) * x[1::2]),
+        input_matrix,
+        Constraints(("cart", "pole"), (OnLine("cart"), FixedDistance("cart", "pole"))),
+    )
+
+    def position(q):
+        return jnp.stack([q[0], 0 * q[0], q[0] + length * jnp.sin(q[1]), length * jnp.cos(q[1])])
+
+    def angles(x):
+        return np.stack([x[:, 0], np.unwrap(np.arctan2(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1]))], axis=1)
+
+    return system, position, angles
+
+
+def mujoco_acrobot(golden):
+    upper, lower = body(golden, 0), body(golden, 1)
+    # The upper arm only turns about the shoulder, so one mass at the elbow has its kinetic energy; its weight
+    # acts at its own centre. The lower arm is two point masses, one of them at the elbow.
+    moment = upper.inertia + upper.mass * upper.centre[1] ** 2
+    pair = two_point_masses(lower, np.zeros(2))
+    masses = np.array([moment + pair.masses[0], pair.masses[1]])
+    weights = GRAVITY * np.array([upper.mass * upper.centre[1] + pair.masses[0], pair.masses[1]])
+    length = float(np.linalg.norm(pair.points[1]))
+
+    def input_matrix(x):
+        arm = x[2:] - x[:2]
+        shoulder = turned(x[:2])
+        elbow = turned(arm) / jnp.sum(arm * arm)
+        none = jnp.zeros(2)
+        first = jnp.concatenate([2 * shoulder, none])
+        second = 2 * jnp.concatenate([-elbow - shoulder, elbow])
+        return jnp.stack([first, second], axis=1)
+
+    system = ConstrainedLagrangian(
+        PointMasses(jnp.sqrt(jnp.asarray(masses, float))),
+        lambda x: jnp.sum(jnp.asarray(weights, x.dtype) * x[1::2]),
+        input_matrix,
+        Constraints(("elbow", "tip"), (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))),
+    )
+
+    def position(q):
+        elbow = jnp.stack([jnp.sin(q[0]), jnp.cos(q[0])])
+        return jnp.concatenate([elbow, elbow + length * jnp.stack([jnp.sin(q[0] + q[1]), jnp.cos(q[0] + q[1])])])
+
+    def angles(x):
+        first = np.unwrap(np.arctan2(x[:, 0], x[:, 1]))
+        return np.stack([first, np.unwrap(np.arctan2(x[:, 2] - x[:, 0], x[:, 3] - x[:, 1])) - first], axis=1)
+
+    return system, position, angles
+
+
+@pytest.mark.parametrize(("name", "build"), [("cartpole", mujoco_cartpole), ("acrobot", mujoco_acrobot)])
+def test_true_masses_follow_mujoco_for_50_frames(name, build):
+    """MuJoCo's mass and inertia as point masses (A.3), its own runs with inputs, float32, RATTLE."""
+    golden = np.load(GOLDEN / f"{name}.npz")
+    system, position, angles = build(golden)
+    dynamics = MechanicalDynamics(system, Rattle(substeps=16))
+
+    @eqx.filter_jit
+    def rollout(q, qdot, u):
+        x, v = jax.jvp(position, (q,), (qdot,))
+        state = State(Motion(x, v), {"constants": system.constraint(x)})
+        return dynamics.rollout(state, u, float(golden["dt"]), 50).x
+
+    for run in range(len(golden["qpos0"])):
+        q, qdot, u = (jnp.asarray(golden[key][run], float) for key in ("qpos0", "qvel0", "action"))
+        found = angles(np.asarray(rollout(q, qdot, u)))
+        turns = np.round((golden["qpos0"][run] - found[0]) / (2 * np.pi)) * 2 * np.pi
+        if name == "cartpole":
+            turns[0] = 0
+        np.testing.assert_allclose(found[1:] + turns, golden["qpos"][run], atol=1e-3)
+
+
+def swing(factor, potential, angle, speed, dt, steps):
+    """The same motion in generalised coordinates by RK4 in float64."""
+    general = GeneralizedLagrangian(factor, potential)
+    state = State(Motion(jnp.asarray(angle, float), jnp.asarray(speed, float)), {})
+    return np.asarray(MechanicalDynamics(general, RK4(8)).rollout(state, jnp.zeros(0), dt, steps).x)
+
+
+def test_constrained_pendulum_is_the_pendulum_of_one_angle():
+    angle = 2.5
+    with jax.enable_x64(True):
+        expected = swing(lambda q: jnp.eye(1), lambda q: -GRAVITY * jnp.cos(q[0]), [angle], [0.0], 0.02, 100)
+        system = pendulum()
+        motion = MechanicalDynamics(system, Rattle(32)).rollout(
+            start(system, on_circle([angle])), jnp.zeros(0), 0.02, 100
+        )
+        np.testing.assert_allclose(motion.x[:, 0], np.sin(expected[:, 0]), atol=1e-4)
+        np.testing.assert_allclose(motion.x[:, 1], -np.cos(expected[:, 0]), atol=1e-4)
+
+
+def test_constrained_double_pendulum_is_its_pull_back():
+    def chain(q):
+        first = jnp.stack([jnp.sin(q[0]), -jnp.cos(q[0])])
+        return jnp.concatenate([first, first + jnp.stack([jnp.sin(q[1]), -jnp.cos(q[1])])])
+
+    with jax.enable_x64(True):
+        system = double_pendulum(input_matrix=lambda x: jnp.stack([x[3], x[0], x[1], -x[2]])[:, None])
+        angles = jnp.array([2.0, 1.0])
+        u = jnp.array([0.4])
+        general = pulled_back(system, chain)
+        state = State(Motion(angles, jnp.array([0.5, -0.3])), {})
+        q, qdot = MechanicalDynamics(general, RK4(4)).rollout(state, u, 0.02, 50)
+        x, v = jax.jvp(chain, (angles,), (state.coordinates.v,))
+        motion = MechanicalDynamics(system, RK4(4)).rollout(start(system, x, v), u, 0.02, 50)
+        np.testing.assert_allclose(motion.x, jax.vmap(chain)(q), atol=1e-6)
+        energy = jax.vmap(general.energy)(q, qdot)
+        np.testing.assert_allclose(energy, jax.vmap(system.energy)(*motion), rtol=1e-6)
+
+
+@pytest.mark.parametrize("bars", [2, 3])
+def test_four_bar_linkage_with_a_redundant_bar(bars):
+    """A rigid plate on parallel bars swings like a pendulum; the third bar constrains nothing new."""
+    feet = np.array([[0.0, 0.0], [1.0, 0.0], [0.4, 0.3]])
+    names = ("a", "b", "c")
+    items = [DistanceToPoint(name, tuple(foot)) for name, foot in zip(names[:bars], feet[:bars], strict=True)]
+    items += [FixedDistance("a", "b"), FixedDistance("b", "c"), FixedDistance("a", "c")]
+    system = law([1.0, 2.0, 0.5], Constraints(names, items))
+    angle = 1.3
+    bar = np.array([np.sin(angle), -np.cos(angle)])
+    state = start(system, (feet + bar).reshape(-1))
+    x = state.coordinates.x
+    jacobian = system.jacobian(x)
+    assert np.linalg.matrix_rank(np.asarray(jacobian), tol=1e-4) == 5 and len(jacobian) == 3 + bars
+    motion = eqx.filter_jit(MechanicalDynamics(system, Rattle(8)).rollout)(state, jnp.zeros(0), 0.02, 150)
+    with jax.enable_x64(True):
+        expected = swing(lambda q: jnp.eye(1), lambda q: -GRAVITY * jnp.cos(q[0]), [angle], [0.0], 0.02, 150)
+    found = np.unwrap(np.arctan2(np.asarray(motion.x[:, 0]), -np.asarray(motion.x[:, 1])))
+    np.testing.assert_allclose(found, expected[:, 0], atol=1e-3)
+    constraint = jax.vmap(system.constraint)(motion.x)
+    assert float(jnp.abs(constraint - constraint[:1]).max()) < 2e-6
+
+
+def test_period_of_a_small_swing():
+    system = pendulum()
+    state = start(system, on_circle([0.01]))
+    period = 2 * np.pi / np.sqrt(GRAVITY)
+    half = last(MechanicalDynamics(system, Rattle(4)).rollout(state, jnp.zeros(0), period / 200, 100))
+    np.testing.assert_allclose(half.x[0], -state.coordinates.x[0], rtol=1e-3)
+
+
+def test_damped_free_mass_comes_to_rest_as_an_exponential():
+    damping, time = 0.6, 2.0
+    system = law([0.5], None, damping=jnp.array([[damping**0.5]]), potential=lambda x: 0.0 * x[0])
+    state = start(system, jnp.zeros(2), jnp.array([1.0, -2.0]))
+    moved = last(MechanicalDynamics(system, Rattle()).rollout(state, jnp.zeros(0), time / 50, 50))
+    np.testing.assert_allclose(moved.v, np.exp(-damping / 0.5 * time) * np.array([1.0, -2.0]), rtol=1e-5)

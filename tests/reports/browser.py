@@ -1,0 +1,59 @@
+"""Open a page in headless Chromium and say what is on it."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+# Runs in a copy of the page, waits for every movie and picture, and leaves what it finds in an attribute.
+_LOOK = """
+<script>
+const errors = [], refused = [];
+addEventListener("error", event => { if (event.message) errors.push(event.message); });
+addEventListener("securitypolicyviolation", event => refused.push(event.blockedURI));
+addEventListener("load", async () => {
+  const movies = [...document.querySelectorAll("video")], pictures = [...document.querySelectorAll("img")];
+  const ready = movie => new Promise(done => {
+    if (movie.readyState >= 2 || movie.hidden) return done();
+    for (const name of ["loadeddata", "error"]) movie.addEventListener(name, done, true);
+  });
+  await Promise.all([...movies.map(ready), ...pictures.map(picture => picture.decode().catch(() => 0))]);
+  const instead = document.querySelector("img.instead");
+  const wide = [...document.querySelectorAll("main *")].filter(
+    part => !part.closest(".scroll, pre, svg") && part.getBoundingClientRect().right > innerWidth + 1);
+  document.documentElement.dataset.seen = JSON.stringify({
+    movies: movies.map(movie => [movie.videoWidth, movie.duration]),
+    pictures: pictures.map(picture => picture.naturalWidth),
+    requests: performance.getEntriesByType("resource").map(e => e.name).filter(name => !name.startsWith("data:")),
+    refused, errors,
+    wider_than_window: wide.map(part => part.tagName + "." + part.className),
+    movie_hidden: movies.length > 0 && movies[0].hidden,
+    gif_width: instead && !instead.hidden ? instead.getBoundingClientRect().width : 0,
+  });
+});
+</script>
+"""
+
+
+def look(page: Path, folder: Path) -> dict:
+    """What Chromium finds on the page; its own complaints are among the `errors`."""
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    assert browser, "this test opens the report in Chromium, which is missing: `make test` installs it"
+    copy = folder / "copy.html"
+    copy.write_text(page.read_text().replace("<main>", _LOOK + "<main>", 1))
+    switches = [
+        "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+        "--disable-background-networking", "--disable-component-update", "--disable-sync",
+        "--enable-logging=stderr", "--window-size=800,900", "--virtual-time-budget=20000",
+        f"--user-data-dir={folder / 'profile'}", "--dump-dom",
+    ]  # fmt: skip
+    answer = subprocess.run(
+        [browser, *switches, copy.as_uri()], capture_output=True, text=True, timeout=120, check=True
+    )
+    found = re.search(r'data-seen="([^"]*)"', answer.stdout)
+    assert found, f"the page did not finish: {answer.stderr[-2000:]}"
+    seen = json.loads(html.unescape(found.group(1)))
+    seen["errors"] += [line for line in answer.stderr.splitlines() if ":CONSOLE" in line]
+    return seen

@@ -1,0 +1,105 @@
+import html.parser
+import json
+import re
+
+import pytest
+from browser import look
+
+from keycld import KeycldError
+from keycld.reports import write_report
+
+
+@pytest.fixture(scope="module")
+def page(run):
+    return write_report(run)
+
+
+def sections(page):
+    return re.findall(r'<section id="(\w+)">', page.read_text())
+
+
+def test_every_part_is_there(page):
+    assert sections(page) == [
+        "movies", "sheets", "scores", "long", "state", "potential", "energy", "masses", "training", "reproduce",
+    ]  # fmt: skip
+    assert "is left out" not in page.read_text()
+
+
+def test_what_a_stranger_must_read_is_on_the_page(page, scores):
+    text = page.read_text()
+    assert f'<p class="big">{scores["vpt"]["1"]["mean"]:.2f}</p>' in text
+    for words in (
+        "Valid prediction time is", "mean image", "frozen frame", "constant acceleration", "fast", "seed",
+        "keycld train disc --out runs/disc", "Video can therefore tell ratios only", "vision, joint-8",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_the_page_needs_no_other_file(page):
+    text = page.read_text()
+    sources = re.findall(r'(?:src|href|poster)="([^"]{0,60})', text)
+    assert sources and all(source.startswith(("data:", "#")) for source in sources)
+    assert "url(http" not in text and "@import" not in text
+    media = {path.name for path in (page.parent / "media").iterdir()}
+    assert {"prediction.mp4", "prediction.gif", "sheet-1.png", "error.png", "vpt.png", "training.png"} <= media
+
+
+def test_tags_are_balanced(page):
+    void, open_tags = {"meta", "link", "img", "source", "br"}, []
+
+    class Parser(html.parser.HTMLParser):
+        def handle_starttag(self, tag, attrs):
+            if tag not in void:
+                open_tags.append(tag)
+
+        def handle_endtag(self, tag):
+            assert open_tags.pop() == tag
+
+    Parser().feed(page.read_text())
+    assert open_tags == []
+
+
+def test_a_browser_shows_every_movie_and_picture_and_asks_for_nothing_else(page, tmp_path):
+    seen = look(page, tmp_path)
+    assert len(seen["movies"]) == 1 + 3 + 2
+    assert all(width > 100 and seconds > 0.3 for width, seconds in seen["movies"])
+    assert len(seen["pictures"]) >= 3 and all(width > 0 for width in seen["pictures"])
+    assert seen["requests"] == [] and seen["refused"] == [] and seen["errors"] == []
+    assert seen["wider_than_window"] == []
+    assert seen["movie_hidden"] is False
+
+
+def test_where_h264_is_unknown_the_gif_takes_its_place(page, tmp_path):
+    broken = tmp_path / "broken.html"
+    broken.write_text(re.sub(r"data:video/mp4;base64,[^\"]+", "data:video/mp4;base64,AAAA", page.read_text(), count=1))
+    seen = look(broken, tmp_path)
+    assert seen["movie_hidden"] is True and seen["gif_width"] > 100
+
+
+def test_a_run_without_results_says_what_is_left_out(tmp_path):
+    (tmp_path / "config.json").write_text(json.dumps({"system": "disc", "command": "keycld train <disc>"}))
+    page = write_report(tmp_path)
+    text = page.read_text()
+    assert sections(page) == ["reproduce"]
+    assert text.count("is left out") == 7
+    assert "keycld train &lt;disc&gt;" in text
+
+
+def test_results_of_a_model_without_keypoints_make_a_page(plain_run):
+    page = write_report(plain_run)
+    assert sections(page) == ["movies", "sheets", "scores", "reproduce"]
+    assert "heat" not in re.sub(r"data:[^\"]+", "", page.read_text())
+
+
+def test_half_a_line_of_metrics_is_no_obstacle(run):
+    with (run / "metrics.jsonl").open("a") as file:
+        file.write('{"step": 99, "sta')
+    assert "training" in sections(write_report(run))
+
+
+def test_mistakes_are_named(tmp_path):
+    with pytest.raises(KeycldError, match="no config.json"):
+        write_report(tmp_path)
+    (tmp_path / "config.json").write_text("{")
+    with pytest.raises(KeycldError, match="not valid JSON"):
+        write_report(tmp_path)
