@@ -1,6 +1,7 @@
 """Making data: complete, repeatable, resumed after a kill, refused where it would mix."""
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -20,6 +21,7 @@ from keycld.systems import get
 # Small, but of two parts: one of 500 frames and a rest.
 RUNS = {"train": 26, "validation": 2, "test": 2, "test_long": 2}
 FRAMES = {"train": 20, "validation": 20, "test": 20, "test_long": 30}
+TINY = {"runs": dict.fromkeys(RUNS, 1), "frames": dict.fromkeys(FRAMES, 4), "workers": 1}
 FILES = ("train", "validation", "test", "test_long", "sweeps")
 
 
@@ -144,7 +146,6 @@ def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
 
 def test_a_kill_while_joining_is_taken_up_too(made, tmp_path, monkeypatch):
     folder = tmp_path / "pendulum"
-    tiny = {"runs": dict.fromkeys(RUNS, 1), "frames": dict.fromkeys(FRAMES, 4)}
     join = make_module.join
 
     def dies(parts, path):
@@ -154,15 +155,25 @@ def test_a_kill_while_joining_is_taken_up_too(made, tmp_path, monkeypatch):
 
     monkeypatch.setattr(make_module, "join", dies)
     with pytest.raises(KeyboardInterrupt):
-        make_data("pendulum", folder, **tiny)
+        make_data("pendulum", folder, **TINY)
     with pytest.raises(KeycldError, match="unfinished"):
         open_data(folder)
     monkeypatch.setattr(make_module, "join", join)
-    resumed = make_data("pendulum", folder, **tiny)
+    resumed = make_data("pendulum", folder, **TINY)
     assert resumed.fresh and resumed.frames == 0 and check(folder) == []
-    # A file that got lost is made again.
+
+
+def test_a_lost_file_is_missed(made, tmp_path):
+    folder = tmp_path / "pendulum"
+    shutil.copytree(made[0].folder, folder)
     (folder / "test.h5").unlink()
-    assert make_data("pendulum", folder, **tiny).fresh and check(folder) == []
+
+    def stop(progress):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_data("pendulum", folder, runs=RUNS, frames=FRAMES, progress=stop)
+    assert (folder / ".partial").exists() and "unfinished" in " ".join(check(folder))
 
 
 def test_bad_folders(tmp_path):
@@ -186,8 +197,6 @@ def test_bad_names(tmp_path):
 def test_without_gl_nothing_is_lost(tmp_path, monkeypatch):
     monkeypatch.setenv("__EGL_VENDOR_LIBRARY_FILENAMES", "/nonexistent")
     monkeypatch.delenv("MUJOCO_GL", raising=False)
-    tiny = {"runs": dict.fromkeys(RUNS, 1), "frames": dict.fromkeys(FRAMES, 4)}
     with pytest.raises(KeycldError, match="libegl1"):
-        make_data("pendulum", tmp_path / "a", **tiny)
-    monkeypatch.undo()
-    assert make_data("pendulum", tmp_path / "a", **tiny).fresh
+        make_data("pendulum", tmp_path / "a", **TINY)
+    assert [path.name for path in (tmp_path / "a").rglob("*.*") if path.is_file()] == ["recipe.json"]

@@ -1,7 +1,9 @@
 import pytest
 
+import scenes
 from keycld import KeycldError
-from keycld.evaluation import Protocol, protocol_named, standard_protocols
+from keycld.data import DataSet, write
+from keycld.evaluation import Protocol, protocol_named, protocols_for, standard_protocols
 
 
 def test_the_standard_list():
@@ -13,6 +15,18 @@ def test_the_standard_list():
         "test_long@500": ("test_long", 500, 2),
     }
     assert all(p.factors == (1.0, 0.25) for p in standard_protocols())
+
+
+def test_shorter_recordings_are_scored_to_their_end(tmp_path):
+    for name, frames in (("test", 12), ("validation", 60), ("test_long", 250)):
+        write(tmp_path / f"{name}.h5", scenes.disc_pendulum(1, frames, seed=0))
+    found = {p.name: (p.split, p.horizon) for p in protocols_for(DataSet(tmp_path, None))}
+    assert found == {
+        "test@12": ("test", 12),
+        "validation@50": ("validation", 50),
+        "test_long@200": ("test_long", 200),
+        "test_long@250": ("test_long", 250),
+    }
 
 
 def test_a_wrong_name_gets_the_nearest():

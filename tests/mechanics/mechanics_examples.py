@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,16 +22,19 @@ GOLDEN = Path(__file__).parent / "golden"
 GRAVITY = 9.81
 
 
-def weight(masses):
+class Weight(eqx.Module):
     """The potential energy of point masses in gravity."""
-    masses = np.asarray(masses)
-    return lambda x: GRAVITY * jnp.sum(jnp.asarray(masses, x.dtype) * x[1::2])
+
+    masses: jax.Array
+
+    def __call__(self, x):
+        return GRAVITY * jnp.sum(self.masses * x[1::2])
 
 
 def law(masses, constraint, input_matrix=None, damping=None, potential=None):
     masses = jnp.asarray(masses, float)
     return ConstrainedLagrangian(
-        PointMasses(jnp.sqrt(masses)), potential or weight(masses), input_matrix, constraint, damping
+        PointMasses(jnp.sqrt(masses)), potential or Weight(masses), input_matrix, constraint, damping
     )
 
 
@@ -55,11 +60,31 @@ def on_circle(angles, lengths=None):
     return jnp.asarray(np.cumsum(steps, axis=0).reshape(-1), float)
 
 
+@eqx.filter_jit
+def _start(law, x, v):
+    return State(Motion(x, law.project_velocity(x, v)), {"constants": law.constraint(x)})
+
+
 def start(law, x, v=None):
     """A state on the constraints, with the velocity made tangential."""
     x = jnp.asarray(x, float)
-    v = law.project_velocity(x, jnp.zeros_like(x) if v is None else jnp.asarray(v, float))
-    return State(Motion(x, v), {"constants": law.constraint(x)})
+    return _start(law, x, jnp.zeros_like(x) if v is None else jnp.asarray(v, float))
+
+
+@eqx.filter_jit
+def rollout(dynamics, state, u, dt, steps):
+    """The dynamics' own roll-out, compiled."""
+    return dynamics.rollout(state, u, dt, steps)
+
+
+@eqx.filter_jit
+def _end(dynamics, state, u, dt, steps):
+    return jax.lax.fori_loop(0, steps, lambda _, s: dynamics.step(s, u, dt), state)
+
+
+def end(dynamics, state, u, dt, steps):
+    """The state after `steps` frames; compiled once for any number of them and any dt."""
+    return _end(dynamics, state, u, jnp.asarray(dt, float), jnp.asarray(steps))
 
 
 def last(motion):

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import GOLDEN, cartpole, double_pendulum, last, law, on_circle, start
+from mechanics_examples import GOLDEN, cartpole, double_pendulum, end, last, law, on_circle, rollout, start
 
 from keycld import KeycldError
 from keycld.mechanics import (
@@ -20,11 +20,6 @@ from keycld.mechanics import (
     Shake,
     State,
 )
-
-
-@eqx.filter_jit
-def end(dynamics, state, u, dt, steps):
-    return last(dynamics.rollout(state, u, dt, steps))
 
 
 def push(x):
@@ -59,10 +54,10 @@ def errors(make, kind, counts, exact_steps):
         system = double_pendulum(input_matrix=push, damping=lower)
         state = start(system, on_circle([1.0, 0.3]), jnp.array([1.0, 0.5, -0.5, 0.2]))
     u, time = jnp.array([0.7]), 0.8
-    exact = end(MechanicalDynamics(system, RK4()), state, u, time / exact_steps, exact_steps)
+    exact = end(MechanicalDynamics(system, RK4()), state, u, time / exact_steps, exact_steps).coordinates
     found = []
     for count in counts:
-        motion = end(MechanicalDynamics(system, make()), state, u, time / count, count)
+        motion = end(MechanicalDynamics(system, make()), state, u, time / count, count).coordinates
         error = float(jnp.abs(motion.x - exact.x).max())
         if make is not Shake:  # whose velocity is not tangential
             error = max(error, float(jnp.abs(motion.v - exact.v).max()))
@@ -94,11 +89,10 @@ def test_golden_pendulum(name, integrator):
     with jax.enable_x64(True):
         system = law([1.0], None, potential=lambda x: -jnp.cos(x[0]))
         state = start(system, jnp.array([golden["q0"], 0.0]), jnp.array([golden["p0"], 0.0]))
-        rollout = MechanicalDynamics(system, integrator).rollout(
-            state, jnp.zeros(0), float(golden["dt"]), int(golden["num_steps"])
-        )
-        np.testing.assert_allclose(rollout.x[:, 0], golden["q"], atol=1e-13)
-        np.testing.assert_allclose(rollout.v[:, 0], golden["p"], atol=1e-13)
+        dynamics = MechanicalDynamics(system, integrator)
+        motion = rollout(dynamics, state, jnp.zeros(0), float(golden["dt"]), int(golden["num_steps"]))
+        np.testing.assert_allclose(motion.x[:, 0], golden["q"], atol=1e-13)
+        np.testing.assert_allclose(motion.v[:, 0], golden["p"], atol=1e-13)
 
 
 def energies(system, state, integrator, dt, steps=10_000):
@@ -139,7 +133,7 @@ def test_without_constraints_rattle_is_velocity_verlet_to_the_bit():
     system = law([1.0, 0.5], None, **FREE)
     state = start(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.ones(4))
     u = jnp.array([0.3])
-    one, other = (end(MechanicalDynamics(system, i), state, u, 0.05, 20) for i in (Rattle(2), Leapfrog(2)))
+    one, other = (rollout(MechanicalDynamics(system, i), state, u, 0.05, 20) for i in (Rattle(2), Leapfrog(2)))
     np.testing.assert_array_equal(one.x, other.x)
     np.testing.assert_array_equal(one.v, other.v)
 
@@ -151,11 +145,11 @@ def test_shake_goes_through_the_positions_of_rattle():
     with jax.enable_x64(True):
         state, u = jax.tree.map(lambda a: a.astype(jnp.float64), (state, u))
         shake, rattle = (
-            MechanicalDynamics(system, i).rollout(state, u, 0.01, 100) for i in (Shake(2, 5), Rattle(2, 5))
+            rollout(MechanicalDynamics(system, i), state, u, 0.01, 100) for i in (Shake(2, 5), Rattle(2, 5))
         )
         np.testing.assert_allclose(shake.x, rattle.x, atol=1e-12)
         projected = jax.vmap(system.project_velocity)(shake.x, shake.v)
-        np.testing.assert_allclose(projected, rattle.v, atol=1e-10)
+        np.testing.assert_allclose(projected[1:], rattle.v[1:], atol=1e-10)
 
 
 @pytest.mark.parametrize(
@@ -169,14 +163,12 @@ def test_forward_then_backward_returns_to_the_start(integrator, damping):
     state = start(system, jnp.array([0.1, 0.0, 0.7, 0.8]), jnp.array([0.4, 0.0, 1.0, 0.0]))
     u = jnp.asarray(np.random.default_rng(0).normal(size=(20, 1)), float)
     dynamics = MechanicalDynamics(system, integrator)
-    there = end(dynamics, state, u, 0.02, 20)
-    back = end(dynamics, State(there, state.parameters), u, -0.02, 20)
+    dt = jnp.asarray(0.02)
+    there = last(rollout(dynamics, state, u, dt, 20))
+    back = last(rollout(dynamics, State(there, state.parameters), u, -dt, 20))
     np.testing.assert_allclose(back.x, state.coordinates.x, atol=2e-5)
     v = back.v if not isinstance(integrator, Shake) else system.project_velocity(back.x, back.v)
     np.testing.assert_allclose(v, state.coordinates.v, atol=1e-4)
-    # The sign of a traced dt is known only at run time.
-    traced = eqx.filter_jit(lambda dt: last(dynamics.rollout(State(there, state.parameters), u, dt, 20)))
-    np.testing.assert_allclose(traced(jnp.asarray(-0.02)).x, back.x, atol=1e-5)
 
 
 @pytest.mark.parametrize("make", [Euler, RK2, RK4, Shake, Rattle], ids=lambda m: m.__name__)
@@ -184,10 +176,10 @@ def test_sub_steps_are_shorter_steps(make):
     system = double_pendulum(input_matrix=push)
     state = start(system, on_circle([1.0, 0.3]), jnp.ones(4))
     u = jnp.array([0.5])
-    coarse = MechanicalDynamics(system, make(4)).step(state, u, 0.08)
-    fine = end(MechanicalDynamics(system, make(1)), state, u, 0.02, 4)
-    np.testing.assert_allclose(coarse.coordinates.x, fine.x, atol=1e-6)
-    np.testing.assert_allclose(coarse.coordinates.v, fine.v, atol=1e-5)
+    coarse = end(MechanicalDynamics(system, make(4)), state, u, 0.08, 1).coordinates
+    fine = end(MechanicalDynamics(system, make(1)), state, u, 0.02, 4).coordinates
+    np.testing.assert_allclose(coarse.x, fine.x, atol=1e-6)
+    np.testing.assert_allclose(coarse.v, fine.v, atol=1e-5)
 
 
 def test_roll_out_is_step_after_step():
@@ -195,11 +187,11 @@ def test_roll_out_is_step_after_step():
     state = start(system, on_circle([1.0, 0.3]), jnp.ones(4))
     u = jnp.array([[0.5], [-3.0], [2.0]])
     dynamics = MechanicalDynamics(system, Rattle(2))
-    rolled = dynamics.rollout(state, u, 0.05, 3)
+    rolled = rollout(dynamics, state, u, 0.05, 3)
     assert rolled.x.shape == (4, 4)
     for k in range(3):
         np.testing.assert_allclose(rolled.x[k], state.coordinates.x, atol=1e-5)
-        state = dynamics.step(state, u[k], 0.05)
+        state = end(dynamics, state, u[k], 0.05, 1)
     np.testing.assert_allclose(rolled.x[3], state.coordinates.x, atol=1e-5)
     np.testing.assert_allclose(rolled.v[3], state.coordinates.v, atol=1e-4)
 
@@ -207,7 +199,7 @@ def test_roll_out_is_step_after_step():
 def test_fast_rotation_of_a_third_of_a_radian_a_step():
     system = double_pendulum()
     state = start(system, on_circle([0.0, 0.0]), jnp.array([15.0, 0.0, -15.0, 0.0]))
-    motion = MechanicalDynamics(system, Rattle()).rollout(state, jnp.zeros(0), 0.01, 2000)
+    motion = rollout(MechanicalDynamics(system, Rattle()), state, jnp.zeros(0), 0.01, 2000)
     x = np.asarray(motion.x)
     link = np.unwrap(np.arctan2(x[:, 2] - x[:, 0], x[:, 1] - x[:, 3]))
     assert 0.28 < np.abs(np.diff(link)).max() < 0.5
@@ -221,8 +213,8 @@ def test_batches():
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
     u = jnp.array([[0.5], [-1.0]])
     dynamics = MechanicalDynamics(system, Rattle(2))
-    rolled = jax.vmap(lambda state, u: dynamics.rollout(state, u, 0.02, 5))(batch, u)
-    np.testing.assert_allclose(rolled.x[1], dynamics.rollout(states[1], u[1], 0.02, 5).x, atol=1e-6)
+    rolled = jax.vmap(lambda state, u: rollout(dynamics, state, u, 0.02, 5))(batch, u)
+    np.testing.assert_allclose(rolled.x[1], rollout(dynamics, states[1], u[1], 0.02, 5).x, atol=1e-6)
 
 
 def test_mistakes():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanics_examples import GRAVITY, cartpole, double_pendulum, law, on_circle, pendulum, start, weight
+from mechanics_examples import GRAVITY, cartpole, double_pendulum, law, on_circle, pendulum, start
 
 from keycld import KeycldError
 from keycld.mechanics import ConstrainedLagrangian, Constraints, DistanceToPoint, FixedDistance, PointMasses
@@ -148,4 +148,4 @@ def test_mistakes():
     with pytest.raises(KeycldError, match=r"K = 2 keypoints, not of shape \(4, 4\)"):
         double_pendulum(damping=jnp.eye(4))
     with pytest.raises(KeycldError, match="'str' is no constraint"):
-        ConstrainedLagrangian(PointMasses.ones(1), weight([1.0]), None, "pendulum")
+        ConstrainedLagrangian(PointMasses.ones(1), jnp.sum, None, "pendulum")

@@ -140,7 +140,7 @@ def clips(key, batch, index, span, frames=True):
 def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey):
     """Eqs. (10)–(13) for one clip of seven frames, in plain NumPy around the model's own parts."""
     clip = clips(getkey(), 1, range(7), 7)
-    total, terms = CollocationLoss(5e-4)(paper_model, clip, key=getkey())
+    total, terms = CollocationLoss(5e-4)(paper_model, clip, key=getkey(), step=jnp.array(5))
     frames = clip.frames[0]
     x = np.stack([np.asarray(paper_model.observe(f).keypoints).reshape(-1) for f in frames])
     drawn = np.stack([np.asarray(paper_model.renderer(jnp.asarray(p).reshape(1, 2))) for p in x])
@@ -172,10 +172,10 @@ def test_track_loss_is_zero_on_the_models_own_motion(model):
     start = model.start(on_circle(0.5), on_circle(0.6), DT, jnp.zeros(1))
     path = model.rollout(start, DT, jnp.zeros(1), 9).coordinates.x
     clip = Clip(None, path[None], jnp.arange(10)[None], jnp.zeros((1, 1)), DT[None], 10)
-    loss, _ = TrackLoss()(model, clip, key=jax.random.key(0))
+    loss, _ = TrackLoss()(model, clip, key=jax.random.key(0), step=jnp.array(0))
     assert float(loss) < 1e-6
     moved = eqx.tree_at(lambda c: c.keypoints, clip, clip.keypoints.at[0, 5:].add(0.1))
-    assert float(TrackLoss()(model, moved, key=jax.random.key(0))[0]) > 1e-3
+    assert float(TrackLoss()(model, moved, key=jax.random.key(0), step=jnp.array(0))[0]) > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -189,7 +189,7 @@ def test_track_loss_is_zero_on_the_models_own_motion(model):
 def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, frames, getkey):
     model = FastRecipe(width=8).model(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, index, span, frames)
-    gradient = eqx.filter_grad(lambda m: loss(m, clip, key=getkey())[0])(model)
+    gradient = eqx.filter_grad(lambda m: loss(m, clip, key=getkey(), step=jnp.array(5))[0])(model)
     groups = {name: jax.tree.leaves(getattr(gradient, name)) for name in ("estimator", "dynamics", "renderer")}
     moved = {name: any(bool(jnp.any(leaf != 0)) for leaf in leaves) for name, leaves in groups.items()}
     assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaves in groups.values() for leaf in leaves)

@@ -81,7 +81,7 @@ class Model(eqx.Module):
     still: jax.Array
 
 
-def squares(model, clips, *, key):
+def squares(model, clips, *, key, step):
     loss = jnp.sum((model.moving - 3.0) ** 2) + jnp.sum(model.still**2)
     return loss, {"squares": loss}
 
@@ -131,7 +131,7 @@ def test_forgetful_adam_is_sign_descent(data):
 
 
 def test_something_not_finite_is_named_and_not_trained_on(data):
-    def breaks(model, clips, *, key):
+    def breaks(model, clips, *, key, step):
         loss = jnp.sum(model.moving**2) + jnp.sum(jnp.sqrt(model.still - 1.0))
         return loss, {"fine": jnp.sum(model.moving**2), "root": loss}
 
@@ -147,7 +147,7 @@ def test_something_not_finite_is_named_and_not_trained_on(data):
 
 
 def test_the_broken_loss_term_is_named(data):
-    def breaks(model, clips, *, key):
+    def breaks(model, clips, *, key, step):
         bad = jnp.log(model.moving[0])
         return bad, {"logarithm": bad, "fine": jnp.array(0.0)}
 

@@ -1,5 +1,6 @@
 """Makes a data set: every split of a protocol and the sweeps, in parallel, to be taken up when interrupted."""
 
+import contextlib
 import json
 import shutil
 import time
@@ -209,8 +210,10 @@ def _draw(
     missing = [part for part in parts if not part.path.exists()]
     total, fresh = sum(part.frames for part in parts), 0
     already = total - sum(part.frames for part in missing)
-    for index, _ in run_in_processes([part.task for part in missing], workers=workers):
-        fresh += missing[index].frames
-        if progress is not None:
-            progress(Progress(already + fresh, total, fresh, time.monotonic() - began, missing[index].split))
+    # Closed at once when `progress` raises, so that no worker outlives the call.
+    with contextlib.closing(run_in_processes([part.task for part in missing], workers=workers)) as results:
+        for index, _ in results:
+            fresh += missing[index].frames
+            if progress is not None:
+                progress(Progress(already + fresh, total, fresh, time.monotonic() - began, missing[index].split))
     return fresh

@@ -4,9 +4,10 @@ import contextlib
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-import imageio.v2
 import imageio.v3
+import imageio_ffmpeg
 import numpy as np
 from jaxtyping import Shaped, UInt8
 from matplotlib.figure import Figure
@@ -51,7 +52,7 @@ def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: floa
     Args:
         path: `.mp4` gives H.264 in yuv420p, which every browser plays; `.gif` loops for ever.
         frames: uint8.
-        fps: frames a second. GIF counts in hundredths of a second, at most 50 a second.
+        fps: frames a second. GIF counts in hundredths of a second; browsers slow down beyond 50.
         scale: enlargement, nearest neighbour. 4 suits 64 × 64.
 
     Raises:
@@ -62,34 +63,40 @@ def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: floa
         raise KeycldError(f"a movie ends in .mp4 or .gif, not in '{suffix}' ('{path}').")
     if len(frames) == 0:
         raise KeycldError(f"a movie needs at least one frame; '{path}' got none.")
+    common: dict[str, Any] = {"fps": fps, "quality": None, "macro_block_size": 1, "ffmpeg_log_level": "error"}
+    large = _even(enlarge(frames[0], scale)).shape
     with replacing(path) as temporary:
-        if suffix == ".gif":
-            hundredths = max(2, round(100.0 / fps))
-            imageio.v3.imwrite(temporary, enlarge(frames, scale), duration=10 * hundredths, loop=0)
-        else:
-            _write_mp4(temporary, frames, fps, scale)
+        writer = imageio_ffmpeg.write_frames(
+            temporary,
+            (large[1], large[0]),
+            **common,
+            **(_GIF if suffix == ".gif" else _MP4),
+        )
+        with contextlib.closing(writer):
+            writer.send(None)
+            for frame in frames:
+                writer.send(np.ascontiguousarray(_even(enlarge(frame, scale))))
 
 
-def _write_mp4(path: Path, frames: np.ndarray, fps: float, scale: int) -> None:
-    writer = imageio.v2.get_writer(
-        path,
-        format="FFMPEG",  # pyright: ignore[reportArgumentType]
-        fps=fps,
-        codec="libx264",
-        pixelformat="yuv420p",
-        quality=None,
-        macro_block_size=1,
-        ffmpeg_log_level="error",
-        # crf 18 is visually lossless; faststart lets a browser play before all is read.
-        output_params=["-crf", "18", "-preset", "medium", "-movflags", "+faststart"],
-    )
-    with writer:
-        for frame in frames:
-            writer.append_data(_even(enlarge(frame, scale)))
+# One palette for the whole movie: a palette a frame flickers, a fixed one is dull.
+_GIF: dict[str, Any] = {
+    "codec": "gif",
+    "pix_fmt_out": "pal8",
+    "output_params": [
+        "-filter_complex",
+        "split[a][b];[a]palettegen=stats_mode=full[p];[b][p]paletteuse=dither=none",
+    ],
+}
+# crf 18 is visually lossless; faststart lets a browser play before all is read.
+_MP4: dict[str, Any] = {
+    "codec": "libx264",
+    "pix_fmt_out": "yuv420p",
+    "output_params": ["-crf", "18", "-preset", "medium", "-movflags", "+faststart"],
+}
 
 
 def _even(frame: np.ndarray) -> np.ndarray:
-    """Repeat the last row or column where yuv420p needs an even size."""
+    """Repeat the last row or column where the size is odd: yuv420p halves it."""
     height, width, _ = frame.shape
     return np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 

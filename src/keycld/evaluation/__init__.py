@@ -23,6 +23,7 @@ from keycld.evaluation.probe import fit_probe as fit_probe
 from keycld.evaluation.probe import invert_landmarks as invert_landmarks
 from keycld.evaluation.protocols import Protocol as Protocol
 from keycld.evaluation.protocols import protocol_named as protocol_named
+from keycld.evaluation.protocols import protocols_for as protocols_for
 from keycld.evaluation.protocols import standard_protocols as standard_protocols
 from keycld.evaluation.published import PAPER_VPT as PAPER_VPT
 from keycld.evaluation.storage import load_evaluation as load_evaluation
@@ -53,6 +54,7 @@ __all__ = [
     "predict_batch",
     "predict_file",
     "protocol_named",
+    "protocols_for",
     "references",
     "relative_errors",
     "save_evaluation",

@@ -1,8 +1,13 @@
 """What is given, what is scored, and against which threshold."""
 
+import dataclasses
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from keycld._errors import KeycldError, unknown
+
+if TYPE_CHECKING:
+    from keycld.data import DataSet
 
 
 @dataclass(frozen=True)
@@ -53,6 +58,17 @@ _PROTOCOLS = {
 def standard_protocols() -> tuple[Protocol, ...]:
     """The standard protocols: the paper's, on unseen and on validation runs, and two longer horizons."""
     return tuple(_PROTOCOLS.values())
+
+
+def protocols_for(data: "DataSet") -> tuple[Protocol, ...]:
+    """The standard protocols that the files of a data set allow; shorter recordings are scored to their end."""
+    found = {}
+    for protocol in standard_protocols():
+        if protocol.split in data.splits:
+            horizon = min(protocol.horizon, data.split(protocol.split, images=False).frames)
+            name = f"{protocol.split}@{horizon}"
+            found[name] = dataclasses.replace(protocol, name=name, horizon=horizon)
+    return tuple(found.values())
 
 
 def protocol_named(name: str) -> Protocol:

@@ -81,8 +81,6 @@ class AdaptiveDynamics(AbstractDynamics):
         motion = self.rollout(state, u, dt, 1)
         return State(jax.tree.map(lambda y: y[-1], motion), state.parameters)
 
-    def rollout(
-        self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int
-    ) -> Motion:
+    def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
         """The motion at `steps` + 1 frames; see `adaptive_rollout`."""
         return adaptive_rollout(self.law, state, u, dt, steps, self.rtol, self.atol)

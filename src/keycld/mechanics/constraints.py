@@ -70,8 +70,7 @@ class FixedDistance(AbstractRelation):
         """A keypoint has no distance to itself."""
         if self.first == self.second:
             raise KeycldError(
-                f"a fixed distance needs two different keypoints, but both are '{self.first}': "
-                "name the other end."
+                f"a fixed distance needs two different keypoints, but both are '{self.first}': name the other end."
             )
 
     @property
@@ -94,9 +93,7 @@ class DistanceToPoint(AbstractRelation):
     """
 
     keypoint: str = eqx.field(static=True)
-    point: tuple[float, float] | str = eqx.field(
-        static=True, default=(0.0, 0.0), converter=lambda p: _point(p)
-    )
+    point: tuple[float, float] | str = eqx.field(static=True, default=(0.0, 0.0), converter=lambda p: _point(p))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -246,9 +243,7 @@ class Constraints(AbstractConstraint):
         parameters = parameters or {}
         points = {name: x[2 * k : 2 * k + 2] for k, name in enumerate(self.keypoints)}
         values = [
-            item.value(points, parameters)[None]
-            if isinstance(item, AbstractRelation)
-            else item(x, parameters)
+            item.value(points, parameters)[None] if isinstance(item, AbstractRelation) else item(x, parameters)
             for item in self.items
         ]
         return jnp.concatenate([x[:0], *values])
@@ -268,7 +263,7 @@ def as_constraint(constraint: Any, dimension: int) -> AbstractConstraint:
             )
         return constraint
     if callable(constraint):
-        return FunctionConstraint(constraint, dimension)
+        return FunctionConstraint(function=constraint, dimension=dimension)
     raise KeycldError(
         f"'{type(constraint).__name__}' is no constraint: give a relation such as FixedDistance, "
         f"or a function of (x, parameters)."

@@ -25,9 +25,7 @@ class MechanicalDynamics(AbstractDynamics):
         """The state one frame later (earlier for negative dt)."""
         return self.integrator.step(self.law, state, u, dt)
 
-    def rollout(
-        self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int
-    ) -> Motion:
+    def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
         """The motion at `steps` + 1 frames, the given one first.
 
         Args:
@@ -55,9 +53,7 @@ class MechanicalDynamics(AbstractDynamics):
         return stack_first(start, motions)
 
 
-def frame_inputs(
-    u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int
-) -> Float[Array, "steps l"]:
+def frame_inputs(u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Float[Array, "steps l"]:
     """The input of each frame interval in the order of integration: read in reverse for negative dt.
 
     Raises:
@@ -66,9 +62,7 @@ def frame_inputs(
     if u.ndim == 1:
         return jnp.broadcast_to(u[None, :], (steps, u.shape[0]))
     if u.shape[0] != steps:
-        raise KeycldError(
-            f"a roll-out of {steps} steps needs {steps} inputs, not {u.shape[0]}: cut or extend u."
-        )
+        raise KeycldError(f"a roll-out of {steps} steps needs {steps} inputs, not {u.shape[0]}: cut or extend u.")
     return jnp.where(jnp.asarray(dt) < 0, u[::-1], u)
 
 

@@ -29,7 +29,7 @@ class AbstractIntegrator(eqx.Module):
             raise KeycldError(f"an integrator takes 1 or more sub-steps a frame, not {self.substeps!r}.")
 
     @abc.abstractmethod
-    def begin(self, law: Any, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
+    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
         """What `advance` wants to know at the start.
 
         Raises:
@@ -55,7 +55,7 @@ class AbstractIntegrator(eqx.Module):
 
         return jax.lax.scan(body, (motion, memory), length=self.substeps)[0]
 
-    def step(self, law: Any, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
+    def step(self, law: AbstractLaw, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
         """The state one frame of `dt` seconds later."""
         motion = state.coordinates
         memory = self.begin(law, motion, state.parameters, dt / self.substeps)
@@ -148,14 +148,13 @@ class Leapfrog(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
 
-    def begin(self, law: ConstrainedLagrangian, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
+    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
         """∇V and g at the start.
 
         Raises:
             KeycldError: for a law with constraints or damping.
         """
-        free = isinstance(law, ConstrainedLagrangian) and not law.dissipative
-        if not free or law.constraint(motion.x, parameters).size:
+        if not isinstance(law, ConstrainedLagrangian) or law.dissipative or law.constraint(motion.x, parameters).size:
             raise KeycldError(
                 "leapfrog integrates point masses without constraints or damping: use Rattle for this law."
             )

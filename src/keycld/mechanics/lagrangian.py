@@ -76,8 +76,7 @@ class ConstrainedLagrangian(AbstractLaw):
         self.constraint_function = as_constraint(_nothing if constraint is None else constraint, 2 * count)
         if damping is not None and damping.shape != (count, count):
             raise KeycldError(
-                f"damping is a lower triangular matrix [K, K] with K = {count} keypoints, "
-                f"not of shape {damping.shape}."
+                f"damping is a lower triangular matrix [K, K] with K = {count} keypoints, not of shape {damping.shape}."
             )
         self.damping = damping
 
@@ -109,15 +108,11 @@ class ConstrainedLagrangian(AbstractLaw):
         lower = jnp.tril(self.damping)
         return gram(lower, lower)
 
-    def constraint(
-        self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None
-    ) -> Float[Array, "n"]:
+    def constraint(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
         """Φ(x)."""
         return self.constraint_function(x, parameters)
 
-    def jacobian(
-        self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None
-    ) -> Float[Array, "n dim"]:
+    def jacobian(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n dim"]:
         """DΦ(x)."""
         return jax.jacfwd(self.constraint)(x, parameters)
 

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.mechanics.integrators import AbstractIntegrator, Parameters
-from keycld.mechanics.lagrangian import ConstrainedLagrangian, combine, tangential
+from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian, combine, tangential
 from keycld.mechanics.shake import constrained_drift
 from keycld.mechanics.state import Motion, Scalar
 
@@ -40,7 +40,7 @@ class Rattle(AbstractIntegrator):
     substeps: int = eqx.field(static=True, default=1)
     iterations: int = eqx.field(static=True, default=3)
 
-    def begin(self, law: ConstrainedLagrangian, motion: Motion, parameters: Parameters, h: Scalar) -> Memory:
+    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Memory:
         """Fields, DΦ and the decay of half a sub-step."""
         if not isinstance(law, ConstrainedLagrangian):
             raise KeycldError(f"RATTLE integrates point masses, not a {type(law).__name__}: use RK4.")

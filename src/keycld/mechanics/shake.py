@@ -9,10 +9,9 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.mechanics.integrators import AbstractIntegrator, Parameters
-from keycld.mechanics.lagrangian import ConstrainedLagrangian, combine
+from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian, combine
 from keycld.mechanics.linear import factor, gram, substitute, times
 from keycld.mechanics.state import Motion, Scalar
-
 
 _LARGEST_TURN = 0.5
 """Radians that a drift may turn a part by; beyond 90° there is no solution."""
@@ -93,7 +92,7 @@ class Shake(AbstractIntegrator):
     substeps: int = eqx.field(static=True, default=1)
     iterations: int = eqx.field(static=True, default=3)
 
-    def begin(self, law: ConstrainedLagrangian, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
+    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
         """Fields and DΦ at the start.
 
         Raises:

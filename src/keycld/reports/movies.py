@@ -59,7 +59,7 @@ def headline_movie(folder: Path, result: Evaluation) -> str:
     small = _panels(result, 0, 2, wide=True)
     gif = path.with_suffix(".gif")
     save_movie(gif, _held(small), frames_per_second(result), scale=1)
-    return html.movie(path, frames[-1], gif, "Truth, heat maps and prediction of the first recording, moving")
+    return html.movie(path, frames[-1], gif, "Truth and prediction of the first recording, moving")
 
 
 def trajectory_movies(folder: Path, result: Evaluation) -> list[str]:

@@ -21,9 +21,7 @@ _SECTIONS = (
 )
 
 # The browser itself refuses everything that is not in the file.
-_POLICY = (
-    "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-)
+_POLICY = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
 # Stops and starts a movie on a click, respects a wish for less motion, shows the GIF where H.264 is unknown.
 _SCRIPT = """

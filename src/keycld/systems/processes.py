@@ -9,7 +9,7 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -124,10 +124,10 @@ def cores() -> int:
 
 def run_in_processes(
     tasks: Sequence[Task], *, workers: int | None = None, time_out: float = TIME_OUT
-) -> Iterator[tuple[int, Any]]:
+) -> Generator[tuple[int, Any], None, None]:
     """Yield (index, result) of each task when it is done, in any order.
 
-    A task whose worker dies or hangs is tried once more in a fresh one.
+    A task whose worker dies or hangs is tried once more in a fresh one. Closing the generator ends the workers.
 
     Args:
         tasks: what to do.

@@ -22,7 +22,7 @@ class Stage:
     - `name`: appears in the progress, the metrics and the checkpoints' names.
     - `steps`: optimiser steps.
     - `sampler`: draws the clips of a step.
-    - `loss`: `loss(model, clips, key=key) -> (scalar, terms)`.
+    - `loss`: `loss(model, clips, key=key, step=step) -> (scalar, terms)`.
     - `rates`: learning rate of each named group of parameters; what no name covers stays as it is. A group is named
       by its place in the model, such as `dynamics` or `dynamics.law.potential.perceptron`; the longest name that
       fits a parameter counts, and a rate of zero freezes.

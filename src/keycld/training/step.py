@@ -53,7 +53,8 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
 
         def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
             model = eqx.combine(parameters, rest)
-            return stage.loss(model, clips, key=jax.random.fold_in(loss_key, progress.step))
+            key = jax.random.fold_in(loss_key, progress.step)
+            return stage.loss(model, clips, key=key, step=progress.step)
 
         (loss, terms), gradient = jax.value_and_grad(objective, has_aux=True)(progress.parameters)
         healthy = progress.healthy & jnp.isfinite(loss) & finite(gradient)
@@ -79,7 +80,7 @@ def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any
 
     def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
         key = jax.random.fold_in(loss_key, progress.step)
-        return stage.loss(eqx.combine(parameters, rest), clips, key=key)
+        return stage.loss(eqx.combine(parameters, rest), clips, key=key, step=progress.step)
 
     (_, terms), gradient = jax.jit(jax.value_and_grad(objective, has_aux=True))(progress.parameters)
     bad_terms = [name for name, value in terms.items() if not bool(jnp.isfinite(value))]

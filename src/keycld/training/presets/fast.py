@@ -42,7 +42,7 @@ class FastRecipe(AbstractRecipe):
     stride: int = 2
     sigma: float = 0.1
     substeps: int = 4
-    vision_steps: int = 1000
+    vision_steps: int = 1500
     vision_batch: int = 16
     vision_rate: float = 2e-3
     dynamics_steps: int = 600

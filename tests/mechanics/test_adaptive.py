@@ -1,0 +1,51 @@
+"""Adaptive roll-outs agree with fixed steps and stay on the constraints."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_examples import double_pendulum, law, on_circle, rollout, start
+
+from keycld import KeycldError
+from keycld.mechanics import MechanicalDynamics, Motion, Rattle, State, adaptive_rollout
+
+adaptive = eqx.filter_jit(adaptive_rollout)
+
+
+def push(x):
+    return jnp.stack([x[3], x[0], x[1], -x[2]])[:, None]
+
+
+def test_follows_rattle_on_the_constraints_and_comes_back():
+    system = double_pendulum(input_matrix=push)
+    state = start(system, on_circle([1.0, 0.3]), jnp.ones(4))
+    u = jnp.asarray(np.random.default_rng(0).normal(size=(40, 1)), float)
+    dt = jnp.asarray(0.02)
+    motion = adaptive(system, state, u, dt, 40)
+    assert motion.x.shape == (41, 4)
+    expected = rollout(MechanicalDynamics(system, Rattle(16)), state, u, dt, 40)
+    np.testing.assert_allclose(motion.x, expected.x, atol=1e-3)
+    constraint = jax.vmap(system.constraint)(motion.x)
+    np.testing.assert_allclose(constraint, np.ones((41, 2)), atol=1e-4)
+    last = State(Motion(motion.x[-1], motion.v[-1]), state.parameters)
+    np.testing.assert_allclose(adaptive(system, last, u, -dt, 40).x[-1], state.coordinates.x, atol=1e-3)
+
+
+def test_free_fall_with_a_gradient():
+    system = law([1.0], None)
+
+    @jax.jit
+    def height(v):
+        state = State(Motion(jnp.zeros(2), v), {})
+        return adaptive_rollout(system, state, jnp.zeros(0), 0.1, 5).x[-1, 1]
+
+    value, gradient = jax.value_and_grad(height)(jnp.array([1.0, 2.0]))
+    np.testing.assert_allclose(value, 2.0 * 0.5 - 9.81 / 2 * 0.25, rtol=1e-4)
+    np.testing.assert_allclose(gradient, [0.0, 0.5], atol=1e-5)
+
+
+def test_mistakes():
+    system = law([1.0], None)
+    with pytest.raises(KeycldError, match="5 steps needs 5 inputs, not 4"):
+        adaptive_rollout(system, State(Motion(jnp.zeros(2), jnp.zeros(2)), {}), jnp.zeros((4, 0)), 0.1, 5)

@@ -1,0 +1,77 @@
+"""Gradients of RATTLE roll-outs against finite differences, in float64."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_examples import law, on_circle
+
+from keycld.mechanics import (
+    AffineMLPInputMatrix,
+    AffineMLPPotential,
+    Constraints,
+    DistanceToPoint,
+    FixedDistance,
+    MechanicalDynamics,
+    Motion,
+    Rattle,
+    Shake,
+    State,
+)
+
+CONSTRAINTS = Constraints(("elbow", "tip"), (DistanceToPoint("elbow", "pivot"), FixedDistance("elbow", "tip")))
+
+
+def problem(integrator, damping):
+    """Everything that training differentiates by: the law, the start, the constants, a pivot, the input."""
+    keys = jax.random.split(jax.random.key(0))
+    potential = AffineMLPPotential(4, 8, key=keys[0])
+    potential = eqx.tree_at(lambda p: p.weight, potential, jnp.array([0.3, 6.0, -0.2, 4.0]))
+    system = law(
+        [1.0, 0.7],
+        CONSTRAINTS,
+        input_matrix=AffineMLPInputMatrix(4, 1, 8, key=keys[1]),
+        damping=damping,
+        potential=potential,
+    )
+    # Weights large enough to matter.
+    system = jax.tree.map(lambda a: a + 0.3 * jnp.sin(7.0 * jnp.arange(a.size).reshape(a.shape)), system)
+    x = on_circle([1.0, 2.0])
+    pivot = jnp.array([0.1, -0.05])
+    constants = system.constraint(x, {"pivot": pivot})
+    start = (x, jnp.array([1.0, -0.5, 2.0, 0.3]), constants, pivot, jnp.array([0.6]))
+    return MechanicalDynamics(system, integrator), start
+
+
+def loss(everything):
+    dynamics, (x, v, constants, pivot, u) = everything
+    parameters = {"constants": constants, "pivot": pivot}
+    v = dynamics.law.project_velocity(x, v, parameters)
+    motion = dynamics.rollout(State(Motion(x, v), parameters), u, 0.05, 6)
+    return jnp.sum(motion.x**3) + jnp.sum(motion.x[3] * motion.x[5])
+
+
+@pytest.mark.parametrize(
+    ("integrator", "damping"),
+    [(Rattle(2, 5), None), (Rattle(2, 5), [[0.5, 0.0], [0.2, 0.4]]), (Shake(2, 5), None)],
+    ids=["Rattle", "Rattle damped", "Shake"],
+)
+def test_against_differences(integrator, damping):
+    with jax.enable_x64(True):
+        everything = problem(integrator, None if damping is None else jnp.array(damping))
+        arrays, rest = eqx.partition(everything, eqx.is_inexact_array)
+        flat, unflatten = jax.flatten_util.ravel_pytree(arrays)
+        f = jax.jit(lambda flat: loss(eqx.combine(unflatten(flat), rest)))
+        gradient = jax.jit(jax.grad(f))(flat)
+        for k in range(4):
+            direction = jnp.asarray(np.random.default_rng(k).normal(size=flat.shape))
+            difference = (f(flat + 1e-6 * direction) - f(flat - 1e-6 * direction)) / 2e-6
+            np.testing.assert_allclose(gradient @ direction, difference, rtol=1e-6)
+
+
+def test_three_iterations_are_enough_for_training():
+    """The default differentiates its third step of Newton's method only; that costs no accuracy worth having."""
+    exact, _ = jax.flatten_util.ravel_pytree(eqx.filter_grad(loss)(problem(Rattle(2, 8), None)))
+    default, _ = jax.flatten_util.ravel_pytree(eqx.filter_grad(loss)(problem(Rattle(2), None)))
+    np.testing.assert_allclose(default, exact, atol=1e-4 * float(jnp.abs(exact).max()))
