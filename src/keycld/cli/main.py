@@ -11,7 +11,6 @@ from keycld._errors import unknown
 from keycld.cli import data, demo, evaluate, info, predict, report, train
 
 
-
 def data_sets() -> None:
     """Make, check, look at or import data sets: see `keycld data --help`."""
     main(["data", "--help"])
@@ -72,3 +71,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def entry() -> None:
     """What the installed command `keycld` calls."""
     sys.exit(main())
+
+
+if __name__ == "__main__":
+    entry()

@@ -1,0 +1,205 @@
+"""The whole path through the real command line, on a tiny data set of our own: train, kill, resume, eval, predict."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import h5py
+import numpy as np
+import pytest
+
+from scenes import TINY, write_data
+
+SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in TINY.items()]
+
+
+def keycld(*arguments, folder):
+    command = [sys.executable, "-m", "keycld.cli.main", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def weights(run):
+    name = (run / "checkpoints" / "latest").read_text()
+    return (run / "checkpoints" / name / "leaves.eqx").read_bytes()
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pipeline")
+    write_data(folder / "mine")
+    answer = keycld(
+        "train",
+        "mine",
+        "--out",
+        "whole",
+        "--log-every",
+        2,
+        "--checkpoint-seconds",
+        0,
+        "--set",
+        *SETTINGS,
+        folder=folder,
+    )
+    assert answer.returncode == 0, answer.stderr
+    return folder
+
+
+def test_a_killed_training_ends_with_the_same_bits(place):
+    """kill -9 as soon as a checkpoint in the middle of the last stage is there; the same command goes on."""
+    arguments = ["train", "mine", "--out", "cut", "--log-every", "2", "--checkpoint-seconds", "0", "--set", *SETTINGS]
+    command = [sys.executable, "-m", "keycld.cli.main", *arguments]
+    process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    latest, deadline = place / "cut" / "checkpoints" / "latest", time.monotonic() + 300
+    while not (latest.exists() and latest.read_text().startswith("02-joint-000002")):
+        assert process.poll() is None, "the training ended before it could be killed"
+        assert time.monotonic() < deadline
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    answer = keycld(*arguments, folder=place)
+    assert answer.returncode == 0, answer.stderr
+    assert weights(place / "cut") == weights(place / "whole")
+
+
+def test_a_config_reproduces_its_run(place):
+    answer = keycld("train", "--config", "whole/config.json", "--out", "again", "--checkpoint-seconds", 0, folder=place)
+    assert answer.returncode == 0, answer.stderr
+    assert weights(place / "again") == weights(place / "whole")
+
+
+def test_eval_predict_and_report(place):
+    answer = keycld("eval", "whole", folder=place)
+    assert answer.returncode == 0, answer.stderr
+    assert "mean image" in answer.stdout  # a trivial baseline stands beside every result
+    scores = [json.loads(p.read_text()) for p in (place / "whole" / "evaluation").glob("*.json")]
+    assert any(0 <= s["vpt"]["1"]["mean"] <= 1 for s in scores if "vpt" in s)
+
+    answer = keycld("predict", "whole", "--data", "mine/test.h5", "--out", "predictions.h5", folder=place)
+    assert answer.returncode == 0, answer.stderr
+    with h5py.File(place / "predictions.h5") as file:
+        assert file["image"].shape == (6, 12, 16, 16, 3) and file["image"].dtype == np.float32
+        assert file["keypoints"].shape == (6, 12, 1, 2)
+        assert np.isfinite(file["image"][:]).all()
+
+    answer = keycld("report", "whole", folder=place)
+    assert answer.returncode == 0, answer.stderr
+    page = (place / "whole" / "report.html").read_text()
+    assert "</html>" in page and 'src="http' not in page
+
+
+def test_predictions_use_only_the_given_frames_and_inputs(place):
+    """Later frames and true states replaced by noise: the same predictions, bit for bit."""
+    with h5py.File(place / "mine" / "test.h5") as source, h5py.File(place / "noise.h5", "w") as target:
+        for name in source:
+            source.copy(name, target)
+        target.attrs.update(source.attrs)
+        random = np.random.default_rng(0)
+        target["image"][:, 2:] = random.integers(0, 255, target["image"][:, 2:].shape, dtype=np.uint8)
+        target["state"][:] = random.normal(size=target["state"].shape)
+    for name in ("mine/test.h5", "noise.h5"):
+        out = "from-" + name.replace("/", "-")
+        answer = keycld("predict", "whole", "--data", name, "--out", out, folder=place)
+        assert answer.returncode == 0, answer.stderr
+    with h5py.File(place / "from-mine-test.h5") as first, h5py.File(place / "from-noise.h5") as second:
+        np.testing.assert_array_equal(first["image"][:], second["image"][:])
+
+
+def truncated(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def without(name):
+    def change(path):
+        with h5py.File(path, "a") as file:
+            del file[name]
+
+    return change
+
+
+def with_nan(name):
+    def change(path):
+        with h5py.File(path, "a") as file:
+            values = file[name][:]
+            values.flat[3] = np.nan
+            file[name][...] = values
+
+    return change
+
+
+def wrong_shape(path):
+    with h5py.File(path, "a") as file:
+        image = file["image"][:, :, :, :, :2]
+        del file["image"]
+        file["image"] = image
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (truncated, ["train.h5"]),
+        (without("image"), ["image"]),
+        (without("input"), ["input"]),
+        (wrong_shape, ["image", "3"]),
+        (with_nan("input"), ["input"]),
+        (with_nan("time"), ["time"]),
+        (with_nan("state"), ["state"]),
+    ],
+)
+def test_bad_data_gets_one_sentence_and_code_two(tmp_path, change, words):
+    folder = write_data(tmp_path / "bad", count=3, frames=10)
+    change(folder / "train.h5")
+    answer = keycld("train", "bad", "--out", "run", folder=tmp_path)
+    assert answer.returncode == 2, answer.stderr
+    message = answer.stderr.strip()
+    assert message.startswith("keycld: ") and "Traceback" not in message and len(message.splitlines()) == 1
+    assert all(word in message for word in words), message
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["train", "pendulm"], ["did you mean 'pendulum'"]),
+        (["train", "mine", "--preset", "fsat"], ["did you mean 'fast'"]),
+        (["train", "mine", "--model", "hgn2"], ["keycld"]),
+        (["train", "mine", "--set", "vision_step=3"], ["did you mean 'vision_steps'"]),
+        (["train", "mine", "--track", "wandbb"], ["did you mean 'wandb'"]),
+        (["train", "mine", "--constraints", "none.toml"], ["none.toml"]),
+        (["train", "mine", "--out", "file/run", "--set", *SETTINGS], ["cannot write"]),
+        (["train"], ["name what to train on"]),
+        (["trian", "mine"], ["did you mean 'train'"]),
+        (["eval", "nowhere"], ["nowhere", "run folder"]),
+        (["predict", "whole", "--data", "none.h5", "--out", "p.h5"], ["none.h5"]),
+        (["data", "make", "cartpol"], ["did you mean 'cartpole'"]),
+        (["data", "check", "nothing"], ["nothing"]),
+    ],
+)
+def test_mistakes_get_one_sentence_and_code_two(place, arguments, words):
+    (place / "file").write_text("")
+    answer = keycld(*arguments, folder=place)
+    assert answer.returncode == 2, answer.stderr
+    message = answer.stderr.strip().splitlines()[-1]
+    assert message.startswith("keycld: ") and all(word in message for word in words), answer.stderr
+    assert "Traceback" not in answer.stderr
+
+
+def test_check_finds_good_data_fine(place):
+    answer = keycld("data", "check", "mine", folder=place)
+    assert answer.returncode == 0 and answer.stdout.count("fine") == 3
+
+
+def test_info_names_packages_and_renderer(place):
+    answer = keycld("info", folder=place)
+    assert answer.returncode == 0, answer.stderr
+    assert "jax" in answer.stdout and "renderer" in answer.stdout
+
+
+def test_no_gl_is_one_sentence(place):
+    """MuJoCo told to use a GL that is not there: what is missing and what to install, no traceback."""
+    command = [sys.executable, "-m", "keycld.cli.main", "data", "make", "pendulum", "--train", "1", "--out", "gl"]
+    broken = os.environ | {"MUJOCO_GL": "egl", "__EGL_VENDOR_LIBRARY_FILENAMES": "/nowhere.json"}
+    answer = subprocess.run(command, cwd=place, env=broken, capture_output=True, text=True, check=False)
+    assert answer.returncode == 2, answer.stderr
+    assert "Traceback" not in answer.stderr and "libegl1" in answer.stderr
