@@ -65,13 +65,27 @@ def write(path: str | Path, trajectories: Trajectories) -> None:
     Raises:
         KeycldError: the contents break the format; the folder cannot be written; the disk is full.
     """
-    with atomic(Path(path)) as temporary, h5py.File(temporary, "w") as file:
+    with _new_file(Path(path)) as file:
         _write_small(file, trajectories)
         if trajectories.image is not None:
             image = np.asarray(trajectories.image)
             # One chunk a recording, because clips are cut from one at a time.
             file.create_dataset("image", data=image, chunks=(1, *image.shape[1:]), **_COMPRESSION)
         _refuse(check_structure(file), path)
+
+
+@contextlib.contextmanager
+def _new_file(path: Path) -> Iterator[h5py.File]:
+    """An HDF5 file in memory, written to `path` as a whole at the end.
+
+    On a full disk HDF5 itself may crash the process; compressed recordings are small enough for memory.
+    """
+    with h5py.File(path.name, "w", driver="core", backing_store=False, block_size=2**20) as file:
+        yield file
+        file.flush()
+        contents = file.id.get_file_image()
+    with atomic(path) as temporary:
+        temporary.write_bytes(contents)
 
 
 def _write_small(file: h5py.File, trajectories: Trajectories) -> None:
@@ -194,7 +208,7 @@ def join(parts: Sequence[Path], path: Path) -> None:
         parameters={name: np.concatenate([each.parameters[name] for each in loaded]) for name in first.parameters},
         attributes=first.attributes,
     )
-    with atomic(path) as temporary, h5py.File(temporary, "w") as file:
+    with _new_file(path) as file:
         _write_small(file, everything)
         chunks = (chunk for part in parts for chunk in _chunks(part))
         for position, (mask, chunk, shape) in enumerate(chunks):

@@ -266,7 +266,18 @@ def _draw(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
             axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0.0)
         style = (0, (4, 2)) if curve.dashed else "-"
         weight = 1.2 if curve.dashed else 1.6
-        axes.plot(curve.x, curve.y, color=colour, linestyle=style, linewidth=weight, label=curve.label)
+        # Few points are shown as such: one alone would draw no line at all.
+        marker = "o" if np.count_nonzero(np.isfinite(curve.y)) <= 8 else ""
+        axes.plot(
+            curve.x,
+            curve.y,
+            color=colour,
+            linestyle=style,
+            linewidth=weight,
+            marker=marker,
+            markersize=4.0,
+            label=curve.label,
+        )
     if logarithmic:
         axes.set_yscale("log")
     axes.grid(axis="y", color=INK.line, linewidth=0.6, alpha=0.6)

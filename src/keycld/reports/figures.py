@@ -166,6 +166,8 @@ def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
     names: list[str] = []
     for line in metrics:
         names += [key for key, value in line.items() if _is_term(key, value) and key not in names]
+    # The total first, scores last.
+    names.sort(key=lambda name: (name != "loss", "vpt" in name))
     panels = []
     for name in names:
         lines = [line for line in metrics if _is_term(name, line.get(name))]

@@ -1,5 +1,7 @@
 """The parts of the page on the run itself: training, configuration, how to reproduce it."""
 
+from pathlib import Path
+
 from keycld.drawing import save_figure
 from keycld.reports import figures, html
 from keycld.reports.run import Run
@@ -31,7 +33,8 @@ def reproduction(run: Run) -> str:
     command = run.config.get("command")
     if command:
         parts.append(html.paragraph("The same machine and versions give the same bits."))
-        parts.append(f"<pre><code>{html.text(command)}</code></pre>")
+        program, *arguments = str(command).split(" ")
+        parts.append(f"<pre><code>{html.text(' '.join([Path(program).name, *arguments]))}</code></pre>")
     rest = {name: value for name, value in run.config.items() if name != "command"}
     parts.append(f"<details><summary>Configuration</summary>{html.pairs(rest)}</details>")
     if run.environment:
