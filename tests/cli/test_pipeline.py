@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 
+from keycld.cli.main import main
 from scenes import TINY, write_data
 
 SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in TINY.items()]
@@ -19,6 +20,30 @@ SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for 
 def keycld(*arguments, folder):
     command = [sys.executable, "-m", "keycld.cli.main", *map(str, arguments)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture
+def here(monkeypatch, capsys):
+    """The same without a new process, for the many mistakes: exit code and what was written to stderr."""
+
+    def run(*arguments, folder):
+        monkeypatch.chdir(folder)
+        code = main([str(argument) for argument in arguments])
+        return code, capsys.readouterr().err
+
+    return run
+
+
+@pytest.fixture
+def here(monkeypatch, capsys):
+    """The same without a new process, for the many mistakes: exit code and what was written to stderr."""
+
+    def run(*arguments, folder):
+        monkeypatch.chdir(folder)
+        code = main([str(argument) for argument in arguments])
+        return code, capsys.readouterr().err
+
+    return run
 
 
 def weights(run):
@@ -147,13 +172,11 @@ def wrong_shape(path):
         (with_nan("state"), ["state"]),
     ],
 )
-def test_bad_data_gets_one_sentence_and_code_two(tmp_path, change, words):
+def test_bad_data_gets_one_sentence_and_code_two(here, tmp_path, change, words):
     folder = write_data(tmp_path / "bad", count=3, frames=10)
     change(folder / "train.h5")
-    answer = keycld("train", "bad", "--out", "run", folder=tmp_path)
-    assert answer.returncode == 2, answer.stderr
-    message = answer.stderr.strip()
-    assert message.startswith("keycld: ") and "Traceback" not in message and len(message.splitlines()) == 1
+    code, message = here("train", "bad", "--out", "run", folder=tmp_path)
+    assert code == 2 and message.startswith("keycld: ") and len(message.strip().splitlines()) == 1, message
     assert all(word in message for word in words), message
     assert not (tmp_path / "run").exists()
 
@@ -176,13 +199,24 @@ def test_bad_data_gets_one_sentence_and_code_two(tmp_path, change, words):
         (["data", "check", "nothing"], ["nothing"]),
     ],
 )
-def test_mistakes_get_one_sentence_and_code_two(place, arguments, words):
+def test_mistakes_get_one_sentence_and_code_two(here, place, arguments, words):
     (place / "file").write_text("")
-    answer = keycld(*arguments, folder=place)
-    assert answer.returncode == 2, answer.stderr
-    message = answer.stderr.strip().splitlines()[-1]
-    assert message.startswith("keycld: ") and all(word in message for word in words), answer.stderr
-    assert "Traceback" not in answer.stderr
+    code, message = here(*arguments, folder=place)
+    assert code == 2, message
+    last = message.strip().splitlines()[-1]
+    assert last.startswith("keycld: ") and all(word in last for word in words), message
+
+
+def test_an_unknown_option_is_code_two_too(here, place):
+    with pytest.raises(SystemExit) as end:
+        here("train", "mine", "--sede", "3", folder=place)
+    assert end.value.code == 2
+
+
+def test_a_real_process_prints_the_sentence_and_no_traceback(place):
+    answer = keycld("train", "pendulm", folder=place)
+    assert answer.returncode == 2 and answer.stdout == ""
+    assert answer.stderr.startswith("keycld: ") and len(answer.stderr.strip().splitlines()) == 1
 
 
 def test_check_finds_good_data_fine(place):

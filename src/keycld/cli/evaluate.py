@@ -24,28 +24,21 @@ def evaluate(
     """
     from keycld.data import open_data
     from keycld.evaluation import evaluate as score
-    from keycld.evaluation import (
-        evaluate_sweeps,
-        protocol_named,
-        save_evaluation,
-        standard_protocols,
-        summary,
-    )
+    from keycld.evaluation import evaluate_sweeps, protocol_named, protocols_for, references, save_evaluation, summary
     from keycld.training import finished, load_run
 
     model, config = load_run(run)
     if not finished(run):
         print(f"{run} has not trained to its end; scoring its newest checkpoint", file=sys.stderr)
     dataset = open_data(data or config.data)
-    chosen = [protocol_named(name) for name in protocols] or [
-        p for p in standard_protocols() if (dataset.folder / f"{p.split}.h5").exists()
-    ]
+    chosen = [protocol_named(name) for name in protocols] or protocols_for(dataset)
     if not chosen:
         raise KeycldError(f"{dataset.folder} has no file that a protocol scores (test.h5, validation.h5, …).")
+    shared = references(dataset)
     for protocol in chosen:
-        result = score(model, dataset, protocol)
+        result = score(model, dataset, protocol, shared=shared)
         save_evaluation(run, protocol.name, result)
-        print(summary(result.scores))
-    if (dataset.folder / "sweeps.h5").exists():
+        print(summary(result.scores), flush=True)
+    if "sweeps" in dataset.splits:
         save_evaluation(run, "sweeps", evaluate_sweeps(model, dataset))
     print(f"stored: {run / 'evaluation'}\nnext: keycld report {run}")

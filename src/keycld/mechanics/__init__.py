@@ -3,12 +3,8 @@
 from keycld.mechanics.adaptive import AdaptiveDynamics as AdaptiveDynamics
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
-from keycld.mechanics.constraints import AbstractRelation as AbstractRelation
 from keycld.mechanics.constraints import Constraints as Constraints
-from keycld.mechanics.constraints import DistanceToPoint as DistanceToPoint
-from keycld.mechanics.constraints import FixedDistance as FixedDistance
 from keycld.mechanics.constraints import FunctionConstraint as FunctionConstraint
-from keycld.mechanics.constraints import OnLine as OnLine
 from keycld.mechanics.constraints import as_constraint as as_constraint
 from keycld.mechanics.constraints_toml import dump_constraints as dump_constraints
 from keycld.mechanics.constraints_toml import load_constraints as load_constraints
@@ -36,6 +32,10 @@ from keycld.mechanics.networks import MLPPotential as MLPPotential
 from keycld.mechanics.networks import Perceptron as Perceptron
 from keycld.mechanics.networks import PointMasses as PointMasses
 from keycld.mechanics.rattle import Rattle as Rattle
+from keycld.mechanics.relations import AbstractRelation as AbstractRelation
+from keycld.mechanics.relations import DistanceToPoint as DistanceToPoint
+from keycld.mechanics.relations import FixedDistance as FixedDistance
+from keycld.mechanics.relations import OnLine as OnLine
 from keycld.mechanics.rigid_body import PointPair as PointPair
 from keycld.mechanics.rigid_body import RigidBody as RigidBody
 from keycld.mechanics.rigid_body import rigid_body as rigid_body

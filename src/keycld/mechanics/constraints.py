@@ -1,18 +1,18 @@
-"""Holonomic constraints on named keypoints, and their composition into Φ(x)."""
+"""Constraint functions Φ(x): relations between named keypoints and plain functions, composed."""
 
 import abc
-from collections.abc import Callable, Mapping
-from numbers import Real
+import itertools
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError, unknown
-
-Parameters = Mapping[str, Array]
+from keycld.mechanics.relations import AbstractRelation
 
 
 class AbstractConstraint(eqx.Module):
@@ -35,119 +35,6 @@ class AbstractConstraint(eqx.Module):
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
         """Φ(x). `parameters` are those of the trajectory's state."""
-
-
-class AbstractRelation(eqx.Module):
-    """One scalar constraint between keypoints that are known by name."""
-
-    @property
-    @abc.abstractmethod
-    def names(self) -> tuple[str, ...]:
-        """The keypoints it speaks of."""
-
-    @abc.abstractmethod
-    def value(self, points: dict[str, Array], parameters: dict[str, Any]) -> Float[Array, ""]:
-        """Its value, from the position [2] of every keypoint."""
-
-
-class FixedDistance(AbstractRelation):
-    """Two keypoints on one rigid body: Φ = |xᵢ − xⱼ|².
-
-    The square keeps Φ a polynomial: its derivatives exist where the points meet.
-
-    Args:
-        first: name of one keypoint.
-        second: name of another.
-
-    Raises:
-        KeycldError: if the two are the same.
-    """
-
-    first: str = eqx.field(static=True)
-    second: str = eqx.field(static=True)
-
-    def __check_init__(self):
-        """A keypoint has no distance to itself."""
-        if self.first == self.second:
-            raise KeycldError(
-                f"a fixed distance needs two different keypoints, but both are '{self.first}': name the other end."
-            )
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Both ends."""
-        return (self.first, self.second)
-
-    def value(self, points: dict[str, Array], parameters: dict[str, Any]) -> Float[Array, ""]:
-        """|xᵢ − xⱼ|²."""
-        return _square(points[self.first] - points[self.second])
-
-
-class DistanceToPoint(AbstractRelation):
-    """A keypoint that turns around a fixed point: Φ = |xᵢ − p|².
-
-    Args:
-        keypoint: its name.
-        point: p, image-plane units; or the name of an entry [2] of the state's parameters, for a pivot that
-            differs between trajectories. The image centre unless told.
-    """
-
-    keypoint: str = eqx.field(static=True)
-    point: tuple[float, float] | str = eqx.field(static=True, default=(0.0, 0.0), converter=lambda p: _point(p))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The one keypoint."""
-        return (self.keypoint,)
-
-    def value(self, points: dict[str, Array], parameters: dict[str, Any]) -> Float[Array, ""]:
-        """|xᵢ − p|²."""
-        x = points[self.keypoint]
-        if isinstance(self.point, tuple):
-            return _square(x - jnp.asarray(self.point, x.dtype))
-        if self.point not in parameters:
-            there = ", ".join(sorted(parameters)) or "none"
-            raise KeycldError(
-                f"'{self.keypoint}' turns around the parameter '{self.point}', which the state does not hold: "
-                f"add it to the state's parameters (there: {there})."
-            )
-        return _square(x - parameters[self.point])
-
-
-class OnLine(AbstractRelation):
-    """A keypoint that slides along a straight line: Φ = n·xᵢ with the unit normal n of the line.
-
-    Args:
-        keypoint: its name.
-        direction: of the line, any length; (1, 0) is horizontal.
-
-    Raises:
-        KeycldError: if the direction is zero or not finite.
-    """
-
-    keypoint: str = eqx.field(static=True)
-    direction: tuple[float, float] = eqx.field(
-        static=True, default=(1.0, 0.0), converter=lambda d: _pair("direction", d)
-    )
-
-    def __check_init__(self):
-        """A line has a direction."""
-        if self.direction == (0.0, 0.0):
-            raise KeycldError(
-                f"the line of '{self.keypoint}' has the direction (0, 0): give a direction such as (1, 0)."
-            )
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """The one keypoint."""
-        return (self.keypoint,)
-
-    def value(self, points: dict[str, Array], parameters: dict[str, Any]) -> Float[Array, ""]:
-        """n·xᵢ."""
-        dx, dy = self.direction
-        length = (dx * dx + dy * dy) ** 0.5
-        x = points[self.keypoint]
-        return (dx / length) * x[1] - (dy / length) * x[0]
 
 
 class FunctionConstraint(AbstractConstraint):
@@ -215,7 +102,7 @@ class Constraints(AbstractConstraint):
 
     def _item(self, item: Any) -> "AbstractRelation | AbstractConstraint":
         if isinstance(item, AbstractRelation):
-            for name in item.names:
+            for name in item.signs:
                 if name not in self.keypoints:
                     raise unknown("keypoint", name, self.keypoints)
             return item
@@ -241,12 +128,24 @@ class Constraints(AbstractConstraint):
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
         """Φ(x), the items' values one after another."""
         parameters = parameters or {}
-        points = {name: x[2 * k : 2 * k + 2] for k, name in enumerate(self.keypoints)}
-        values = [
-            item.value(points, parameters)[None] if isinstance(item, AbstractRelation) else item(x, parameters)
-            for item in self.items
-        ]
-        return jnp.concatenate([x[:0], *values])
+        values = [x[:0]]
+        for related, items in itertools.groupby(self.items, lambda item: isinstance(item, AbstractRelation)):
+            if related:
+                values.append(self._relations(list(items), x, parameters))
+            else:
+                values += [item(x, parameters) for item in items]
+        return jnp.concatenate(values)
+
+    def _relations(self, relations: list[AbstractRelation], x: Array, parameters: dict[str, Any]) -> Array:
+        """All of them at once: Φ = (s y + n)·y with y = signs · x − p."""
+        signs = np.array([[relation.signs.get(name, 0.0) for name in self.keypoints] for relation in relations])
+        normals = [relation.normal for relation in relations]
+        square = np.array([[0.0 if normal else 1.0] * 2 for normal in normals])
+        linear = np.array([normal or (0.0, 0.0) for normal in normals])
+        origins = [jnp.asarray(relation.origin(parameters), x.dtype) for relation in relations]
+        points = x.reshape(1, -1, 2)
+        y = jnp.sum(jnp.asarray(signs, x.dtype)[:, :, None] * points, axis=1) - jnp.stack(origins)
+        return jnp.sum((jnp.asarray(square, x.dtype) * y + jnp.asarray(linear, x.dtype)) * y, axis=1)
 
 
 def as_constraint(constraint: Any, dimension: int) -> AbstractConstraint:
@@ -274,10 +173,6 @@ def _name(function: Callable) -> str:
     return getattr(function, "__name__", type(function).__name__)
 
 
-def _square(d: Float[Array, "2"]) -> Float[Array, ""]:
-    return d[0] * d[0] + d[1] * d[1]
-
-
 def _names(names: Any) -> tuple[str, ...]:
     if isinstance(names, str):
         raise KeycldError(f"keypoints are a list of names, not the one text '{names}': write ('{names}',).")
@@ -291,21 +186,3 @@ def _names(names: Any) -> tuple[str, ...]:
         doubled = next(name for name in names if names.count(name) > 1)
         raise KeycldError(f"the keypoint '{doubled}' is named twice: names must differ.")
     return names
-
-
-def _pair(what: str, value: Any) -> tuple[float, float]:
-    try:
-        pair = tuple(value)
-    except TypeError:
-        pair = ()
-    if len(pair) != 2 or not all(isinstance(p, Real) and abs(float(p)) < float("inf") for p in pair):
-        raise KeycldError(f"a {what} is two finite numbers (x, y), not {value!r}.")
-    return float(pair[0]), float(pair[1])
-
-
-def _point(value: Any) -> tuple[float, float] | str:
-    if isinstance(value, str):
-        if not value.strip():
-            raise KeycldError("the name of a point's parameter is empty: name it, or give two numbers.")
-        return value
-    return _pair("point", value)

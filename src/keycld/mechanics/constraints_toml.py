@@ -24,13 +24,8 @@ from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError, unknown
-from keycld.mechanics.constraints import (
-    AbstractRelation,
-    Constraints,
-    DistanceToPoint,
-    FixedDistance,
-    OnLine,
-)
+from keycld.mechanics.constraints import Constraints
+from keycld.mechanics.relations import AbstractRelation, DistanceToPoint, FixedDistance, OnLine
 
 
 def _between(value: Any) -> tuple[str, str]:

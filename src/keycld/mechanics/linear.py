@@ -97,9 +97,9 @@ def solve_positive(a: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array,
     Returns:
         The solution, finite for finite input.
     """
+    factors = factor(jax.lax.stop_gradient(a))
 
     def solve(matvec, b):
-        factors = factor(a)
         z = substitute(factors, b)
         return z + substitute(factors, b - matvec(z))
 

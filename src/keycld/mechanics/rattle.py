@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics.integrators import AbstractIntegrator, Parameters
 from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian, combine, tangential
-from keycld.mechanics.shake import constrained_drift
+from keycld.mechanics.shake import check_iterations, constrained_drift
 from keycld.mechanics.state import Motion, Scalar
 
 
@@ -39,6 +39,10 @@ class Rattle(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
     iterations: int = eqx.field(static=True, default=3)
+
+    def __check_init__(self):
+        """At least one iteration."""
+        check_iterations(self.iterations)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Memory:
         """Fields, DΦ and the decay of half a sub-step."""

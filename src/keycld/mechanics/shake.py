@@ -14,7 +14,8 @@ from keycld.mechanics.linear import factor, gram, substitute, times
 from keycld.mechanics.state import Motion, Scalar
 
 _LARGEST_TURN = 0.5
-"""Radians that a drift may turn a part by; beyond 90° there is no solution."""
+"""Radians that a drift may turn a part by. One part has no solution beyond 90°, two that turn against each other
+none beyond half of it."""
 
 
 def constrained_drift(
@@ -31,7 +32,7 @@ def constrained_drift(
     DΦ(x') M⁻¹ DΦ(x)ᵀ. Derivatives flow through the last step alone: first derivatives are those of the
     implicit function theorem at the price of one step; second ones are not right.
 
-    A drift that turns a part too far (0.8 rad, as the change of DΦ tells), or that starts too far off the
+    A drift that turns a part too far (0.5 rad, as the change of DΦ tells), or that starts too far off the
     constants, is shortened to what it can do: the result is finite, only slow. Sub-steps are the mend.
     """
     x, v = motion
@@ -54,25 +55,30 @@ def constrained_drift(
     return Motion(x + h * v, v)
 
 
+def check_iterations(iterations: int) -> None:
+    """Refuse a number of iterations that is no number of iterations."""
+    if not isinstance(iterations, int) or iterations < 1:
+        raise KeycldError(f"Newton's method takes 1 or more iterations a sub-step, not {iterations!r}.")
+
+
 def _multipliers(law, x, v, jacobian, pull, offset, parameters, h, iterations):
     """The share of the drift that can be done, λ before the last step of Newton's method, and its matrix."""
     straight = factor(gram(jacobian, pull))
     linear = substitute(straight, offset / h - times(jacobian, v))
-    size = jnp.sum(jacobian * pull, axis=1)
     bent = law.jacobian(x + h * (v + times(pull.T, linear)), parameters) - jacobian
     turned = jnp.sum(bent * bent * law.inverse_mass[None, :], axis=1)
-    over = turned > _LARGEST_TURN**2 * size
-    over = over & (size > 0)
+    size = jnp.sum(jacobian * pull, axis=1)
+    over = (turned > _LARGEST_TURN**2 * size) & (size > 0)
     share = jnp.min(jnp.where(over, _LARGEST_TURN * jnp.sqrt(size / jnp.where(over, turned, 1.0)), 1.0))
 
     target = law.constraint(x, parameters) + share * offset
     v, multipliers = share * v, share * linear
-    for iteration in range(iterations):
+    newton = factor(gram(jacobian + share * bent, pull), straight.inverse_pivots)
+    for _ in range(iterations - 1):
+        ahead = x + h * (v + times(pull.T, multipliers))
+        multipliers = multipliers + substitute(newton, target - law.constraint(ahead, parameters)) / h
         ahead = x + h * (v + times(pull.T, multipliers))
         newton = factor(gram(law.jacobian(ahead, parameters), pull), straight.inverse_pivots)
-        if iteration < iterations - 1:
-            defect = target - law.constraint(ahead, parameters)
-            multipliers = multipliers + substitute(newton, defect) / h
     return share, multipliers, newton
 
 
@@ -91,6 +97,10 @@ class Shake(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
     iterations: int = eqx.field(static=True, default=3)
+
+    def __check_init__(self):
+        """At least one iteration."""
+        check_iterations(self.iterations)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
         """Fields and DΦ at the start.
