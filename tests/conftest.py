@@ -1,8 +1,18 @@
 """Strict settings for every test: silent broadcasting and silent warnings are failures."""
 
+import os
+from pathlib import Path
+
 import jax
 import pytest
 
+# Compiled programs are shared between processes and runs: most of the suite's time would be compilation.
+CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
+os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
+
+jax.config.update("jax_compilation_cache_dir", str(CACHE))
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 

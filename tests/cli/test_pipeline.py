@@ -34,18 +34,6 @@ def here(monkeypatch, capsys):
     return run
 
 
-@pytest.fixture
-def here(monkeypatch, capsys):
-    """The same without a new process, for the many mistakes: exit code and what was written to stderr."""
-
-    def run(*arguments, folder):
-        monkeypatch.chdir(folder)
-        code = main([str(argument) for argument in arguments])
-        return code, capsys.readouterr().err
-
-    return run
-
-
 def weights(run):
     name = (run / "checkpoints" / "latest").read_text()
     return (run / "checkpoints" / name / "leaves.eqx").read_bytes()

@@ -1,7 +1,6 @@
 """The figures of a run, from stored arrays."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,8 +18,6 @@ from keycld.drawing import (
     strip_figure,
 )
 from keycld.evaluation import Evaluation, valid_prediction_time
-
-_NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
 
 
 def error_figure(result: Evaluation) -> Figure:
@@ -159,63 +156,6 @@ def _in_degrees(values: np.ndarray, names: Sequence[str], units: Sequence[str]) 
     return np.where(turning, np.degrees(values), values), [
         f"{name}, {unit}" for name, unit in zip(names, shown, strict=True)
     ]
-
-
-def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
-    """Every loss term and score over minutes, stage boundaries as hairlines; None without numbers."""
-    names: list[str] = []
-    for line in metrics:
-        names += [key for key, value in line.items() if _is_term(key, value) and key not in names]
-    # The total first, scores last.
-    names.sort(key=lambda name: (name != "loss", "vpt" in name))
-    panels = []
-    for name in names:
-        lines = [line for line in metrics if _is_term(name, line.get(name))]
-        panels.append((name.replace("_", " "), [_curve_of(lines, name)]))
-    if not panels:
-        return None
-    marks, seen = [], None
-    for line in metrics:
-        if line.get("stage") != seen:
-            seen = line.get("stage")
-            marks.append((float(line.get("seconds", line["step"])) / 60.0, str(seen)))
-    figure = panels_figure(panels, "minutes", columns=3, marks=_apart(marks), panel_size=(3.7, 2.1))
-    for axes, (name, curves) in zip(figure.axes, panels, strict=False):
-        y = curves[0].y[np.isfinite(curves[0].y)]
-        if "vpt" in name:
-            axes.set_ylim(0.0, 1.05)
-        elif np.all(y > 0) and y.max() > 5.0 * y.min():
-            axes.set_yscale("log")
-    return figure
-
-
-def _curve_of(lines: Sequence[Mapping[str, Any]], name: str) -> Curve:
-    """A term over minutes, with a gap where a stage begins unless the stages have one number each."""
-    minutes, values = [], []
-    repeated = len(lines) > len({line.get("stage") for line in lines})
-    for before, line in zip([lines[0], *lines], lines, strict=False):
-        if repeated and line.get("stage") != before.get("stage"):
-            minutes.append(np.nan)
-            values.append(np.nan)
-        minutes.append(line.get("seconds", line["step"]) / 60.0)
-        values.append(float(line[name]))
-    return Curve(np.array(minutes), np.array(values))
-
-
-def _apart(marks: list[tuple[float, str]]) -> list[tuple[float, str]]:
-    """The marks with words dropped where they would run into the one before."""
-    if not marks:
-        return []
-    least = 0.16 * max(x for x, _ in marks)
-    kept, last = [], -np.inf
-    for x, word in marks:
-        kept.append((x, word if x - last >= least else ""))
-        last = x if x - last >= least else last
-    return kept
-
-
-def _is_term(key: str, value: Any) -> bool:
-    return key not in _NOT_TERMS and isinstance(value, int | float) and bool(np.isfinite(value))
 
 
 def _finite(errors: np.ndarray) -> np.ndarray:

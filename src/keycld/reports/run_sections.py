@@ -3,13 +3,14 @@
 from pathlib import Path
 
 from keycld.drawing import save_figure
-from keycld.reports import figures, html
+from keycld.reports import html
 from keycld.reports.run import Run
+from keycld.reports.training_figure import terms, training_figure
 
 
 def training(run: Run) -> str:
     """Curves from metrics.jsonl."""
-    figure = figures.training_figure(run.metrics)
+    figure = training_figure(run.metrics)
     if figure is None:
         return html.missing("training", "Training", "metrics.jsonl is absent or empty")
     save_figure(run.folder / "media" / "training.png", figure)
@@ -23,6 +24,13 @@ def training(run: Run) -> str:
         facts.append(f"{last['cpu_seconds'] / 60:.1f} CPU minutes")
     stages = list(dict.fromkeys(str(line.get("stage")) for line in run.metrics))
     note = f"{', '.join(facts)}, in {len(stages)} stages: {html.text(', '.join(stages))}."
+    once = [
+        f"{html.text(name.replace('_', ' '))} {html.number(lines[0][name])}"
+        for name, lines in terms(run.metrics).items()
+        if len(lines) == 1
+    ]
+    if once:
+        note += f" Noted once: {', '.join(once)}."
     chart = html.figure(html.chart(figure, "training"), "Loss terms and scores; hairlines where a stage begins.")
     return html.section("training", "Training", html.paragraph(note) + chart)
 

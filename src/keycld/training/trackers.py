@@ -1,13 +1,14 @@
 """Optional experiment trackers; `metrics.jsonl` is always written."""
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from keycld._errors import KeycldError, unknown
 
 TRACKERS = ("none", "wandb", "trackio", "tensorboard")
 
 
+@runtime_checkable
 class Tracker(Protocol):
     """Receives scalars by name."""
 
