@@ -13,6 +13,15 @@ from keycld import KeycldError
 from keycld.mechanics import ConstrainedLagrangian, Constraints, DistanceToPoint, FixedDistance, PointMasses
 
 
+class Uniform(eqx.Module):
+    """An input matrix that is the same everywhere."""
+
+    matrix: jax.Array
+
+    def __call__(self, x):
+        return self.matrix
+
+
 @eqx.filter_jit
 def accelerate(law, x, v, u):
     return law.acceleration(x, v, u)
@@ -83,7 +92,7 @@ def test_a_common_factor_of_mass_potential_input_and_damping_changes_nothing(fac
     def scaled(c):
         return cartpole(
             masses=(c * 1.0, c * 0.5),
-            input_matrix=lambda x: c * g,
+            input_matrix=Uniform(c * g),
             damping=np.sqrt(c) * low,
         )
 

@@ -164,7 +164,7 @@ def test_schedule_rises_then_falls():
 
 
 def test_settings_are_checked():
-    assert make_recipe("fast", {"horizons": [8], "sigma": 1}).settings()["sigma"] == 1.0
+    assert make_recipe("fast", {"joint_horizons": [8], "sigma": 1}).settings()["sigma"] == 1.0
     with pytest.raises(KeycldError, match="did you mean 'vision_steps'"):
         make_recipe("fast", {"vision_step": 3})
     with pytest.raises(KeycldError, match="takes a int"):
