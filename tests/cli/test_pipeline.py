@@ -225,3 +225,27 @@ def test_no_gl_is_one_sentence(place):
     answer = subprocess.run(command, cwd=place, env=broken, capture_output=True, text=True, check=False)
     assert answer.returncode == 2, answer.stderr
     assert "Traceback" not in answer.stderr and "libegl1" in answer.stderr
+
+
+@pytest.mark.parametrize("fault", ["true", "false"])
+def test_the_papers_preset_trains(place, fault):
+    """arXiv v1's recipe, one epoch, with and without the released code's optimiser."""
+    out = f"paper-{fault}"
+    settings = ["width=8", "epochs=1", f"released_optimiser={fault}"]
+    answer = keycld("train", "mine", "--preset", "paper", "--out", out, "--set", *settings, folder=place)
+    assert answer.returncode == 0, answer.stderr
+    lines = (place / out / "metrics.jsonl").read_text().splitlines()
+    assert json.loads(lines[0])["step"] == 6  # one step a training trajectory
+
+
+def test_foreign_data_trains_with_constraints_given_on_the_command_line(place):
+    """No constraints.toml beside the data: --constraints FILE is enough, also to score and predict later."""
+    folder = write_data(place / "bare")
+    (folder / "constraints.toml").rename(place / "mine.toml")
+    code = keycld("train", "bare", "--out", "bare-run", folder=place)
+    assert code.returncode == 2 and "constraints" in code.stderr
+    settings = ["--constraints", "mine.toml", "--out", "bare-run", "--set", *SETTINGS]
+    answer = keycld("train", "bare", *settings, folder=place)
+    assert answer.returncode == 0, answer.stderr
+    answer = keycld("predict", "bare-run", "--data", "bare/test.h5", "--out", "bare.h5", folder=place)
+    assert answer.returncode == 0, answer.stderr

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import warnings
 from collections.abc import Callable, Sequence
 
 import tyro
@@ -42,6 +43,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     # JAX would take three quarters of a GPU's memory at its first use and leave none to a renderer.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    # JAX warns at every child process; ours are ffmpeg and fresh interpreters, which start with exec.
+    warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
     try:
         verbs, prog, description = VERBS, "keycld", DESCRIPTION
         if words[:1] == ["data"]:

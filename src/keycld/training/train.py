@@ -63,7 +63,8 @@ def train(
     constraint = constraints if constraints is not None else dataset.constraints
     recipe = make_recipe(preset, settings or {})
     images = dataset.train()
-    scene = make_scene(images, dataset.keypoints, constraint)
+    keypoints = constraint.keypoints if isinstance(constraint, Constraints) else dataset.keypoints
+    scene = make_scene(images, keypoints, constraint)
     steps_per_dispatch = 1 if jax.default_backend() == "cpu" else 25
     config = RunConfig(
         data=str(dataset.folder),
