@@ -135,7 +135,7 @@ def with_nan(name):
     def change(path):
         with h5py.File(path, "a") as file:
             values = file[name][:]
-            values.flat[3] = np.nan
+            values.flat[-1] = np.nan
             file[name][...] = values
 
     return change
@@ -209,7 +209,7 @@ def test_a_real_process_prints_the_sentence_and_no_traceback(place):
 
 def test_check_finds_good_data_fine(place):
     answer = keycld("data", "check", "mine", folder=place)
-    assert answer.returncode == 0 and answer.stdout.count("fine") == 3
+    assert answer.returncode == 0 and "mine: fine" in answer.stdout
 
 
 def test_info_names_packages_and_renderer(place):

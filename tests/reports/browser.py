@@ -49,10 +49,14 @@ def look(page: Path, folder: Path) -> dict:
         "--enable-logging=stderr", "--window-size=800,900", "--virtual-time-budget=20000",
         f"--user-data-dir={folder / 'profile'}", "--dump-dom",
     ]  # fmt: skip
-    answer = subprocess.run(
-        [browser, *switches, copy.as_uri()], capture_output=True, text=True, timeout=120, check=True
-    )
-    found = re.search(r'data-seen="([^"]*)"', answer.stdout)
+    # On a loaded machine the browser's virtual time can run out before its decoder has answered: look again.
+    for _ in range(3):
+        answer = subprocess.run(
+            [browser, *switches, copy.as_uri()], capture_output=True, text=True, timeout=120, check=True
+        )
+        found = re.search(r'data-seen="([^"]*)"', answer.stdout)
+        if found:
+            break
     assert found, f"the page did not finish: {answer.stderr[-2000:]}"
     seen = json.loads(html.unescape(found.group(1)))
     seen["errors"] += [line for line in answer.stderr.splitlines() if ":CONSOLE" in line]

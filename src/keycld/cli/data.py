@@ -65,19 +65,14 @@ def check(data: tyro.conf.Positional[Path], /) -> None:
     Args:
         data: An HDF5 file, or a folder with train.h5, validation.h5, …
     """
-    from keycld.data import check as check_file
+    from keycld.data import check as problems_of
 
-    files = sorted(data.glob("*.h5")) if data.is_dir() else [data]
-    if not files or not files[0].exists():
-        raise KeycldError(f"{data} holds no .h5 file; name a data set's folder or one of its files.")
-    wrong = {file: check_file(file) for file in files}
-    for file, problems in wrong.items():
-        print(f"{file}: {'fine' if not problems else ''}")
-        for problem in problems:
-            print(f"  {problem}")
-    count = sum(len(problems) for problems in wrong.values())
-    if count:
-        raise KeycldError(f"{count} problem{'s' if count > 1 else ''} in {data}, listed above.")
+    problems = problems_of(data)
+    for problem in problems:
+        print(problem)
+    if problems:
+        raise KeycldError(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {data}, listed above.")
+    print(f"{data}: fine")
 
 
 def show(

@@ -7,7 +7,14 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keycld.mechanics import AdaptiveDynamics, MechanicalDynamics, Motion, State, joining_velocity
+from keycld.mechanics import (
+    AdaptiveDynamics,
+    ConstrainedLagrangian,
+    MechanicalDynamics,
+    Motion,
+    State,
+    joining_velocity,
+)
 from keycld.models.base import AbstractModel
 from keycld.vision import KeypointEstimator, Observation, Renderer
 
@@ -33,6 +40,11 @@ class KeyCLD(AbstractModel):
     context: ClassVar[int] = 2
     reversible: ClassVar[bool] = True
 
+    @property
+    def law(self) -> ConstrainedLagrangian:
+        """Masses, potential energy, input matrix and constraints."""
+        return self.dynamics.law  # pyright: ignore[reportReturnType]
+
     def anchor(self, n: int) -> int:
         """The second frame, as in arXiv v1."""
         return 1
@@ -53,7 +65,7 @@ class KeyCLD(AbstractModel):
         """The state at the second frame from the keypoints of the first two."""
         x = jax.vmap(lambda frame: self.estimator(frame).keypoints.reshape(-1))(frames[:2])
         if not self.joined:
-            return State(Motion(x[1], (x[1] - x[0]) / dt), {"constants": self.dynamics.law.constraint(x[1])})
+            return State(Motion(x[1], (x[1] - x[0]) / dt), {"constants": self.law.constraint(x[1])})
         first = u if u.ndim == 1 else u[0]
         return self.dynamics.step(self.start(x[0], x[1], dt, first), first, dt)
 
@@ -66,11 +78,11 @@ class KeyCLD(AbstractModel):
         the velocity is solved so that one step of the dynamics joins the two. A plain difference (x1 − x0)/dt
         would be wrong by the curvature of the path within a frame.
         """
-        law = self.dynamics.law
+        law = self.law
         constants = (law.constraint(x0) + law.constraint(x1)) / 2
         x0, x1 = law.project_position(x0, constants), law.project_position(x1, constants)
         parameters = {"constants": constants}
-        v0 = joining_velocity(self.dynamics, x0, x1, parameters, u, dt)
+        v0 = joining_velocity(self.dynamics, x0, x1, parameters, u, dt)  # pyright: ignore[reportArgumentType]
         return State(Motion(x0, v0), parameters)
 
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:

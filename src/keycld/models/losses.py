@@ -56,8 +56,8 @@ class VisionLoss(AbstractLoss):
         x = seen.keypoints.reshape(frames.shape[0], -1)
         terms = {
             "reconstruction": _squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
-            "heat_map": _focus(model, seen.heat_maps, seen.keypoints, frames.shape[1:3], self.sigma),
-            "constraint": jnp.sum(jnp.var(jax.vmap(model.dynamics.law.constraint)(x), axis=0)),
+            "heat_map": _focus(model, seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
+            "constraint": jnp.sum(jnp.var(jax.vmap(model.law.constraint)(x), axis=0)),
         }
         total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + self.constraint * terms["constraint"]
         return total, terms
@@ -112,7 +112,7 @@ class PredictionLoss(AbstractLoss):
         x = seen.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
         drawn = jax.vmap(model.renderer)(rolled.reshape(frames.shape[0], -1, 2))
-        values = jax.vmap(model.dynamics.law.constraint)(x.reshape(batch * count, -1))
+        values = jax.vmap(model.law.constraint)(x.reshape(batch * count, -1))
         terms = {
             "reconstruction": _squared_error(drawn, frames),
             "track": jnp.mean(jnp.sum(_huber(rolled - x, self.scale), axis=-1)),
@@ -147,7 +147,7 @@ class CollocationLoss(AbstractLoss):
         batch, count = clips.frames.shape[:2]
         frames = clips.frames.reshape(-1, *clips.frames.shape[2:])
         keypoints = jax.vmap(model.observe)(frames).keypoints
-        law = model.dynamics.law
+        law = model.law
 
         def one(x: Array, u: Array, dt: Array) -> Array:
             velocity = (x[2:] - x[:-2]) / (2 * dt)

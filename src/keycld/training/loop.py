@@ -106,9 +106,9 @@ def train_stages(
         if progress is None and stage.prepare is not None:
             model, data = stage.prepare(model, data)
         started, rest = begin(stage, model)
-        progress = started if progress is None else progress
+        current = started if progress is None else progress
         runs: dict[int, Callable] = {}
-        done = int(progress.step)
+        done = int(current.step)
         bar = Bar(stage.name, stage.steps, start=done)
         per_step = _frames(stage, data)
         saved, pending = time.monotonic(), []
@@ -117,15 +117,15 @@ def train_stages(
             chunk = min(steps_per_dispatch, stage.steps - done)
             if chunk not in runs:
                 runs[chunk] = make_step(stage, number, seed, model, chunk)
-            progress, terms = runs[chunk]((rest, data), progress)
+            current, terms = runs[chunk]((rest, data), current)
             pending.append(terms)
             done += chunk
             clock.frames += per_step * chunk
             if done % log_every < chunk or done == stage.steps:
                 values = {k: float(np.mean([np.mean(t[k]) for t in pending])) for k in terms}
                 pending = []
-                if not bool(progress.healthy):
-                    raise diagnose(stage, number, seed, progress, rest, data)
+                if not bool(current.healthy):
+                    raise diagnose(stage, number, seed, current, rest, data)
                 clock.tick()
                 now = time.monotonic()
                 rate = (clock.frames - logged_frames) / max(now - logged_at, 1e-9)
@@ -141,9 +141,9 @@ def train_stages(
                 tracker.log(before[number] + done, values)
                 bar.show(done, rate, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
                 if now - saved > checkpoint_seconds and done < stage.steps:
-                    save(number, progress, eqx.combine(progress.parameters, rest), done)
+                    save(number, current, eqx.combine(current.parameters, rest), done)
                     saved = time.monotonic()
-        model = eqx.combine(progress.parameters, rest)
+        model = eqx.combine(current.parameters, rest)
         if stage.validate:
             scores = validate(model)
             clock.tick()

@@ -1,7 +1,7 @@
 """A recipe is a list of stages; a stage says what is sampled, what is minimised and what may change."""
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -67,7 +67,9 @@ class Stage:
             self.groups(model),
             is_leaf=lambda x: x is None,
         )
-        rules = {name: self.optimiser(self.schedule(rate, self.steps)) for name, rate in self.rates.items() if rate > 0}
+        rules: dict[Hashable, optax.GradientTransformation] = {
+            name: self.optimiser(self.schedule(rate, self.steps)) for name, rate in self.rates.items() if rate > 0
+        }
         combined = optax.multi_transform(rules, names)
         if self.clip is None:
             return combined
@@ -89,11 +91,11 @@ def forgetful(optimiser: Callable[[optax.Schedule], optax.GradientTransformation
     def make(schedule: optax.Schedule) -> optax.GradientTransformation:
         inner = optimiser(schedule)
 
-        def update(updates: Any, state: Any, parameters: Any = None):
-            fresh, _ = inner.update(updates, inner.init(parameters), parameters)
+        def update(updates: Any, state: Any, params: Any = None):
+            fresh, _ = inner.update(updates, inner.init(params), params)
             return fresh, state
 
-        return optax.GradientTransformation(lambda parameters: optax.EmptyState(), update)
+        return optax.GradientTransformation(lambda params: optax.EmptyState(), update)
 
     return make
 

@@ -61,7 +61,8 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:3]))
-        return Progress(*kept, healthy), {"loss": loss, **terms}
+        parameters, optimiser, step = kept
+        return Progress(parameters, optimiser, step, healthy), {"loss": loss, **terms}
 
     def run(fixed: tuple[Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
         rest, data = fixed

@@ -2,6 +2,7 @@
 
 import abc
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 from jaxtyping import PRNGKeyArray
@@ -29,7 +30,7 @@ class Scene:
     frames: int
     trajectories: int
     keypoints: tuple[str, ...]
-    constraint: AbstractConstraint
+    constraint: AbstractConstraint | Callable
 
 
 @dataclasses.dataclass(frozen=True)
