@@ -4,6 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from keycld._errors import KeycldError
 from keycld.data import Clip
 from keycld.mechanics import Constraints, DistanceToPoint, MLPPotential, Rattle
 from keycld.models import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
@@ -85,6 +86,12 @@ def test_prediction_sees_only_the_given_frames(model, getkey):
     first = model.predict(frames, DT, u, 6).frames
     second = model.predict(frames.at[2:].set(0.5), DT, u.at[5:].set(9.0), 6).frames
     np.testing.assert_array_equal(first, second)
+
+
+def test_a_given_frame_with_nan_is_named(model):
+    frames = jnp.full((2, 16, 16, 3), 0.5).at[1, 3, 4, 0].set(jnp.nan)
+    with pytest.raises(KeycldError, match="given frame 1 holds NaN"):
+        model.predict(frames, DT, jnp.zeros(1), 5)
 
 
 def test_varying_input_equals_constant_input_when_it_is_constant(getkey):

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from keycld._errors import KeycldError
 from keycld.mechanics import State
 from keycld.vision import Observation
 
@@ -71,7 +72,14 @@ class AbstractModel(eqx.Module):
         - `dt`: seconds between frames.
         - `u`: `[l]`, constant, or `[length, l]`, of which `u[k]` is held from frame k to k + 1.
         - `length`: how many frames to return.
+
+        **Raises:** KeycldError for a given frame that holds something not finite (outside of `jit`, where values can
+        be read).
         """
+        if not isinstance(frames, jax.core.Tracer):
+            bad = [k for k, frame in enumerate(frames) if not bool(jnp.all(jnp.isfinite(frame)))]
+            if bad:
+                raise KeycldError(f"given frame {bad[0]} holds NaN or infinity; give finite values in [0, 1].")
         anchor = self.anchor(frames.shape[0])
         state = self.infer(frames, dt, u)
         constant = u.ndim == 1
