@@ -14,45 +14,51 @@ from jaxtyping import Array, Float
 
 
 class Factors(NamedTuple):
-    """Elimination without row exchanges: unit lower part, upper part, inverse pivots, and the ridge added."""
+    """Elimination without row exchanges: unit lower part, upper part, damped inverses of the pivots."""
 
     lower: list[list[Array]]
     upper: list[list[Array]]
     inverse_pivots: list[Array]
-    ridge: list[Array]
 
 
-def factor(matrix: Float[Array, "n n"], near: Factors | None = None) -> Factors:
-    """Factors of a symmetric positive semi-definite matrix, or of one near to such a matrix.
+def _damped_inverse(pivot: Array, scale: Array) -> Array:
+    """1/pivot, falling to zero where the pivot is lost in rounding beside `scale`, the untouched diagonal.
 
-    A ridge of eps^(2/3) of its diagonal (2e-5 in float32) is added, so that redundant constraints share their
-    multipliers and none of them grows without bound. A row of zeros gets the solution zero.
+    With r = pivot/scale it is r³/(r⁴ + ε⁴)/scale: exact for a sound pivot, nothing for a lost one, so a
+    redundant constraint gets no multiplier instead of a random one; smooth between.
+    """
+    epsilon = float(jnp.finfo(pivot.dtype).eps) ** (2 / 3)
+    sound = scale > float(jnp.finfo(pivot.dtype).tiny) ** 0.5
+    safe = jnp.where(sound, scale, 1.0)
+    ratio = pivot / safe
+    return jnp.where(sound, ratio**3 / (ratio**4 + epsilon**4) / safe, 0.0)
+
+
+def factor(matrix: Float[Array, "n n"], reference: list[Array] | None = None) -> Factors:
+    """Factors of a positive (semi-)definite matrix, or of one near to such a matrix.
 
     Args:
-        matrix: symmetric positive semi-definite; or, with `near`, a matrix not far from one.
-        near: factors of the near positive matrix. Its ridge serves again, and pivots are kept above half of
-            its pivots, which bounds a step of Newton's method.
+        matrix: symmetric positive semi-definite, or, with `reference`, a matrix not far from one.
+        reference: inverse pivots of the near positive matrix. Pivots are then kept above half of the
+            reference ones, which bounds a Newton step that was taken too far from its start.
     """
     n = matrix.shape[0]
-    limits = jnp.finfo(matrix.dtype)
     upper = [[matrix[i, j] for j in range(n)] for i in range(n)]
-    ridge = [float(limits.eps) ** (2 / 3) * upper[k][k] for k in range(n)] if near is None else near.ridge
     lower: list[list[Array]] = [[] for _ in range(n)]
     inverse_pivots: list[Array] = []
     for k in range(n):
-        pivot = upper[k][k] + ridge[k]
-        if near is None:
-            sound = ridge[k] > float(limits.tiny) ** 0.5
-            inverse = jnp.where(sound, 1 / jnp.where(sound, jnp.maximum(pivot, ridge[k] / 2), 1.0), 0.0)
+        pivot = upper[k][k]
+        if reference is None:
+            inverse = _damped_inverse(pivot, matrix[k, k])
         else:
-            inverse = near.inverse_pivots[k] / jnp.maximum(pivot * near.inverse_pivots[k], 0.5)
+            inverse = reference[k] / jnp.maximum(pivot * reference[k], 0.5)
         inverse_pivots.append(inverse)
         for i in range(k + 1, n):
             ratio = upper[i][k] * inverse
             lower[i].append(ratio)
             for j in range(k + 1, n):
                 upper[i][j] = upper[i][j] - ratio * upper[k][j]
-    return Factors(lower, upper, inverse_pivots, ridge)
+    return Factors(lower, upper, inverse_pivots)
 
 
 def substitute(factors: Factors, b: Float[Array, "n"]) -> Float[Array, "n"]:
@@ -78,9 +84,9 @@ def substitute(factors: Factors, b: Float[Array, "n"]) -> Float[Array, "n"]:
 def solve_positive(a: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array, "n"]:
     """Solve a z = b for a small symmetric positive semi-definite `a` by a damped Cholesky factorisation.
 
-    Square-root-free (a + ridge = L diag(p) Lᵀ) and unrolled over n. Two steps of refinement take the ridge's
-    effect away where `a` is sound; where it is singular but the system consistent, the solution is one of many,
-    with a small z, and a matrix of zeros gives zeros. Derivatives of every order are those of the solution,
+    Square-root-free (a = L diag(p) Lᵀ) and unrolled over n, with one step of refinement. A pivot that
+    rounding has swallowed counts as zero and its unknown becomes zero: a singular but consistent system gives
+    one of its solutions, a zero matrix gives zeros. Derivatives of every order are those of the solution,
     dz = a⁻¹(db − da z); the elimination itself, whose derivative explodes at singular matrices, is never
     differentiated.
 
@@ -95,7 +101,6 @@ def solve_positive(a: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array,
 
     def solve(matvec, b):
         z = substitute(factors, b)
-        z = z + substitute(factors, b - matvec(z))
         return z + substitute(factors, b - matvec(z))
 
     return jax.lax.custom_linear_solve(partial(times, a), b, solve, symmetric=True)

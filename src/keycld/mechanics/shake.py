@@ -73,12 +73,12 @@ def _multipliers(law, x, v, jacobian, pull, offset, parameters, h, iterations):
 
     target = law.constraint(x, parameters) + share * offset
     v, multipliers = share * v, share * linear
-    newton = factor(gram(jacobian + share * bent, pull), straight)
+    newton = factor(gram(jacobian + share * bent, pull), straight.inverse_pivots)
     for _ in range(iterations - 1):
         ahead = x + h * (v + times(pull.T, multipliers))
         multipliers = multipliers + substitute(newton, target - law.constraint(ahead, parameters)) / h
         ahead = x + h * (v + times(pull.T, multipliers))
-        newton = factor(gram(law.jacobian(ahead, parameters), pull), straight)
+        newton = factor(gram(law.jacobian(ahead, parameters), pull), straight.inverse_pivots)
     return share, multipliers, newton
 
 
