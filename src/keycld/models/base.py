@@ -6,6 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
@@ -76,7 +77,7 @@ class AbstractModel(eqx.Module):
         **Raises:** KeycldError for a given frame that holds something not finite (outside of `jit`, where values can
         be read).
         """
-        if not isinstance(frames, jax.core.Tracer):
+        if not isinstance(frames, Tracer):
             bad = [k for k, frame in enumerate(frames) if not bool(jnp.all(jnp.isfinite(frame)))]
             if bad:
                 raise KeycldError(f"given frame {bad[0]} holds NaN or infinity; give finite values in [0, 1].")
