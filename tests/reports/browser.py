@@ -16,7 +16,7 @@ addEventListener("securitypolicyviolation", event => refused.push(event.blockedU
 addEventListener("load", async () => {
   const movies = [...document.querySelectorAll("video")], pictures = [...document.querySelectorAll("img")];
   const ready = movie => new Promise(done => {
-    if (movie.readyState >= 2 || movie.hidden) return done();
+    if (movie.readyState >= 2 || movie.networkState === HTMLMediaElement.NETWORK_NO_SOURCE) return done();
     for (const name of ["loadeddata", "error"]) movie.addEventListener(name, done, true);
   });
   await Promise.all([...movies.map(ready), ...pictures.map(picture => picture.decode().catch(() => 0))]);

@@ -30,9 +30,12 @@ for (const video of document.querySelectorAll("video")) {
   if (calm) { video.removeAttribute("autoplay"); video.pause(); }
   video.addEventListener("click", () => video.paused ? video.play() : video.pause());
   const instead = video.nextElementSibling;
-  video.querySelector("source").addEventListener("error", () => {
+  const swap = () => {
     if (instead && instead.classList.contains("instead")) { video.hidden = true; instead.hidden = false; }
-  });
+  };
+  // The browser may have given up before this line is reached.
+  if (video.networkState === HTMLMediaElement.NETWORK_NO_SOURCE) swap();
+  video.querySelector("source").addEventListener("error", swap);
 }
 """
 
