@@ -3,3 +3,19 @@
 from keycld._errors import KeycldError as KeycldError
 
 __version__ = "0.1.0"
+
+
+def load(run):
+    """A trained model: one that comes with the package (`"pendulum"`, `"cartpole"`, `"acrobot"`), or of a run folder.
+
+    ```python
+    model = keycld.load("acrobot")
+    model.law.masses, model.law.potential_energy(x)
+    model.predict(frames, dt, u, length=200).frames
+    ```
+
+    **Raises:** KeycldError for a name that is neither.
+    """
+    from keycld.training import load_model
+
+    return load_model(run)[0]

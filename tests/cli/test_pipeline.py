@@ -66,7 +66,7 @@ def test_a_killed_training_ends_with_the_same_bits(place):
     command = [sys.executable, "-m", "keycld.cli.main", *arguments]
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     latest, deadline = place / "cut" / "checkpoints" / "latest", time.monotonic() + 300
-    while not (latest.exists() and latest.read_text().startswith("02-joint-000002")):
+    while not (latest.exists() and latest.read_text().startswith("03-long-000002")):
         assert process.poll() is None, "the training ended before it could be killed"
         assert time.monotonic() < deadline
     os.kill(process.pid, signal.SIGKILL)

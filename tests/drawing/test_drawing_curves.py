@@ -27,6 +27,9 @@ def figures():
     return {
         "curves": curves_figure([CURVE], "frame", "error", limits=[Limit(0.5, "epsilon")]),
         "panels": panels_figure([("one", [CURVE]), ("two", [CURVE])], "minutes", marks=[(0.3, "stage")]),
+        "limited": panels_figure(
+            [("one", [CURVE]), ("two", [CURVE])], "frame", y_label="error", limits=[Limit(0.5, "a"), Limit(0.1, "b")]
+        ),
         "histogram": histogram_figure(X, "score", "number", limits=[Limit(0.2, "mean")]),
         "map": map_figure(grid, X[:4], X[:6], "elbow", "shoulder", "V"),
         "strip": strip_figure([CURVE], pictures, "angle", "V", x_spacing=0.25),
@@ -42,6 +45,7 @@ def test_a_figure_becomes_a_picture_and_words_stay_words(name, tmp_path):
     ElementTree.fromstring(svg.replace("xlink:", ""))
     words = {
         "curves": {"frame", "error", "epsilon", "rise"}, "panels": {"one", "two", "minutes", "stage"},
+        "limited": {"one", "two", "frame", "error", "a", "b"},
         "histogram": {"score", "number", "mean"}, "map": {"elbow", "shoulder", "V"}, "strip": {"angle", "V"},
     }  # fmt: skip
     assert words[name] <= {word.strip() for word in re.findall(r">([^<>]+)</text>", svg)}

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.drawing import as_uint8, enlarge, sheet, side_by_side
+from keycld.drawing import as_uint8, enlarge, labelled_sheet, sheet, side_by_side
 from keycld.drawing.frames import GAP_COLOUR, text_strip
 
 
@@ -51,6 +51,18 @@ def test_a_sheet_shows_every_sixth_frame():
     assert picture.shape == (8, 9 * 4, 3)
     np.testing.assert_array_equal(picture[0, ::4, 0], np.arange(0, 50, 6))
     np.testing.assert_array_equal(picture[4, ::4, 0], 100 + np.arange(0, 50, 6))
+
+
+def test_a_labelled_sheet_has_words_above_and_beside_its_frames():
+    rows = [np.stack([np.full((16, 20, 3), 10 * n + k, np.uint8) for k in range(3)]) for n in range(2)]
+    picture = labelled_sheet(rows, ["truth", "model"], ["0", "4", "8"], scale=2, gap=2)
+    frames = picture[-(2 * 32 + 2) :, -(3 * 40 + 2 * 2) :]
+    np.testing.assert_array_equal(frames[[0, 34]][:, [0, 42, 84], 0], [[0, 1, 2], [10, 11, 12]])
+    above, beside = picture[: -frames.shape[0], -frames.shape[1] :], picture[-frames.shape[0] :, : -frames.shape[1]]
+    assert all(above[:, 42 * k : 42 * k + 40].max() > 200 for k in range(3))
+    assert beside[:32].max() > 200 and beside[34:].max() > 200
+    with pytest.raises(KeycldError, match="2 rows and 3 columns needs as many words; got 2 and 1"):
+        labelled_sheet(rows, ["truth", "model"], ["0"])
 
 
 def test_what_does_not_fit_is_named():

@@ -1,3 +1,5 @@
+import dataclasses
+
 import pytest
 
 import scenes
@@ -15,6 +17,20 @@ def test_the_standard_list():
         "test_long@500": ("test_long", 500, 2),
     }
     assert all(p.factors == (1.0, 0.25) for p in standard_protocols())
+
+
+def test_three_given_frames_have_their_own_names():
+    found = {p.name: (p.split, p.horizon, p.given) for p in standard_protocols(given=3)}
+    assert found["test_long@200-given-3"] == ("test_long", 200, 3) and len(found) == 4
+    assert protocol_named("validation@50-given-3").given == 3
+
+
+def test_data_of_the_journal_version_give_three_frames(tmp_path):
+    recordings = scenes.disc_pendulum(1, 12, seed=0)
+    attributes = {**recordings.attributes, "protocol": "keycld-2024"}
+    write(tmp_path / "test.h5", dataclasses.replace(recordings, attributes=attributes))
+    (found,) = protocols_for(DataSet(tmp_path, None))
+    assert (found.name, found.given, found.horizon) == ("test@12-given-3", 3, 12)
 
 
 def test_shorter_recordings_are_scored_to_their_end(tmp_path):

@@ -10,6 +10,7 @@ from keycld import KeycldError
 from keycld.mechanics import (
     AffineMLPInputMatrix,
     AffineMLPPotential,
+    CoupledMasses,
     MLPInputMatrix,
     MLPPotential,
     PointMasses,
@@ -29,8 +30,16 @@ def test_layers_and_start_are_the_papers(getkey):
 
 
 def test_masses_are_positive_and_start_at_one():
-    np.testing.assert_array_equal(PointMasses.ones(3).masses, np.ones(3))
-    np.testing.assert_allclose(PointMasses(jnp.array([-2.0, 0.5])).masses, [4.0, 0.25])
+    np.testing.assert_array_equal(PointMasses.ones(3).matrix, np.eye(3))
+    np.testing.assert_allclose(PointMasses(jnp.array([-2.0, 0.5])).matrix, np.diag([4.0, 0.25]))
+
+
+def test_a_coupled_mass_matrix_is_positive_and_undoes_its_inverse():
+    masses = CoupledMasses(jnp.array([[0.5, 9.0], [0.3, -0.8]]))  # what is above the diagonal does not count
+    np.testing.assert_allclose(masses.inverse, [[0.25, 0.15], [0.15, 0.73]], rtol=1e-6)
+    np.testing.assert_allclose(masses.matrix @ masses.inverse, np.eye(2), atol=1e-6)
+    assert (np.linalg.eigvalsh(masses.matrix) > 0).all()
+    np.testing.assert_array_equal(CoupledMasses.ones(2).matrix, np.eye(2))
     with pytest.raises(KeycldError, match="at least one keypoint"):
         PointMasses.ones(0)
 

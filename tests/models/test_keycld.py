@@ -24,13 +24,17 @@ class Gravity(eqx.Module):
 @pytest.fixture
 def model():
     """A tiny KeyCLD whose law is that of a unit pendulum of length one, without input."""
-    fresh = FastRecipe(width=8).model(SCENE, jax.random.key(0))
+    fresh = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(0))
     return eqx.tree_at(lambda m: m.dynamics.law.potential, fresh, Gravity())
 
 
 @pytest.fixture
 def paper_model():
     return PaperRecipe(width=8).model(SCENE, jax.random.key(0))
+
+
+def begin(model, x0, x1, dt, u):
+    return model.start(model.dynamics, jnp.stack([x0, x1]), dt, u)
 
 
 def on_circle(angle):
@@ -41,11 +45,11 @@ def test_start_joins_the_two_given_positions(model):
     """From rest at 1 rad a pendulum passes x1 after one frame; the solved start must lead there, at the true speed."""
     u = jnp.zeros(1)
     fine = eqx.tree_at(lambda m: m.dynamics.integrator, model, Rattle(substeps=200))
-    still = fine.start(on_circle(1.0), on_circle(1.0), DT, u)
+    still = begin(fine, on_circle(1.0), on_circle(1.0), DT, u)
     later = fine.dynamics.step(
         eqx.tree_at(lambda s: s.coordinates.v, still, jnp.array([1.0, 1.5574]) * 3.0 * np.cos(1.0)), u, DT
     )
-    start = model.start(on_circle(1.0), later.coordinates.x, DT, u)
+    start = begin(model, on_circle(1.0), later.coordinates.x, DT, u)
     speed = float(jnp.linalg.norm(start.coordinates.v))
     assert speed == pytest.approx(3.0, rel=2e-3)
     reached = model.dynamics.step(start, u, DT).coordinates.x
@@ -54,7 +58,7 @@ def test_start_joins_the_two_given_positions(model):
 
 def test_a_plain_difference_would_start_wrong(model):
     """The same case shows why: over a turn of 0.15 rad a difference misses the speed at either frame."""
-    start = model.start(on_circle(1.0), on_circle(1.3), DT, jnp.zeros(1))
+    start = begin(model, on_circle(1.0), on_circle(1.3), DT, jnp.zeros(1))
     difference = (on_circle(1.3) - on_circle(1.0)) / DT
     solved = start.coordinates.v
     assert float(jnp.linalg.norm(difference - solved)) > 0.05 * float(jnp.linalg.norm(solved))
@@ -62,7 +66,7 @@ def test_a_plain_difference_would_start_wrong(model):
 
 def test_start_compromises_between_two_lengths(model):
     """Two sightings at distances 0.9 and 1.1 from the pivot give a motion at one constant distance."""
-    state = model.start(0.9 * on_circle(0.5), 1.1 * on_circle(0.6), DT, jnp.zeros(1))
+    state = begin(model, 0.9 * on_circle(0.5), 1.1 * on_circle(0.6), DT, jnp.zeros(1))
     path = model.rollout(state, DT, jnp.zeros(1), 40).coordinates.x
     lengths = jnp.linalg.norm(path, axis=1)
     np.testing.assert_allclose(lengths, lengths[0], atol=1e-5)
@@ -73,7 +77,7 @@ def test_prediction_returns_all_frames_and_backward_undoes_forward(model, getkey
     frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
     u = jnp.zeros(1)
     assert model.predict(frames, DT, u, 9).frames.shape == (9, 16, 16, 3)
-    states = model.rollout(model.start(on_circle(1.0), on_circle(1.1), DT, u), DT, u, 8)
+    states = model.rollout(begin(model, on_circle(1.0), on_circle(1.1), DT, u), DT, u, 8)
     last = jax.tree.map(lambda leaf: leaf[-1], states)
     back = model.rollout(last, -DT, u, 8).coordinates.x[::-1]
     np.testing.assert_allclose(back, states.coordinates.x, atol=2e-4)
@@ -95,7 +99,7 @@ def test_a_given_frame_with_nan_is_named(model):
 
 
 def test_varying_input_equals_constant_input_when_it_is_constant(getkey):
-    model = FastRecipe(width=8).model(SCENE, jax.random.key(3))
+    model = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(3))
     model = eqx.tree_at(lambda m: m.dynamics.law.input_matrix.bias, model, jnp.array([5.0, 2.0]))
     frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
     u = jnp.array([0.7])
@@ -108,7 +112,7 @@ def test_varying_input_equals_constant_input_when_it_is_constant(getkey):
 
 def test_a_common_factor_of_mass_energy_and_input_changes_nothing(getkey):
     """(M, V, g) is learned only up to one factor."""
-    model = FastRecipe(width=8).model(SCENE, jax.random.key(3))
+    model = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(3))
     law = lambda m: m.dynamics.law  # noqa: E731
     model = eqx.tree_at(
         lambda m: (law(m).potential.weight, law(m).input_matrix.bias),
@@ -119,7 +123,7 @@ def test_a_common_factor_of_mass_energy_and_input_changes_nothing(getkey):
         lambda m: (law(m).mass.root, law(m).potential, law(m).input_matrix),
         model,
         (
-            law(model).mass.root * 2.0,
+            law(model).mass.root / 2.0,  # M⁻¹ = R Rᵀ, so M is four times as large
             lambda x: 4 * law(model).potential(x),
             lambda x: 4 * law(model).input_matrix(x),
         ),
@@ -167,7 +171,7 @@ def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey)
 def test_collocation_vanishes_on_a_true_motion(model):
     """Keypoints that obey eq. (6) closely leave almost no defect; ones with wrong gravity leave much."""
     law = model.dynamics.law
-    start = model.start(on_circle(0.5), on_circle(0.5), jnp.array(0.01), jnp.zeros(1))
+    start = begin(model, on_circle(0.5), on_circle(0.5), jnp.array(0.01), jnp.zeros(1))
     x = model.rollout(start, jnp.array(0.01), jnp.zeros(1), 20).coordinates.x
     v = (x[2:] - x[:-2]) / 0.02
     a = (v[2:] - v[:-2]) / 0.02
@@ -176,7 +180,7 @@ def test_collocation_vanishes_on_a_true_motion(model):
 
 
 def test_track_loss_is_zero_on_the_models_own_motion(model):
-    start = model.start(on_circle(0.5), on_circle(0.6), DT, jnp.zeros(1))
+    start = begin(model, on_circle(0.5), on_circle(0.6), DT, jnp.zeros(1))
     path = model.rollout(start, DT, jnp.zeros(1), 9).coordinates.x
     clip = Clip(None, path[None], jnp.arange(10)[None], jnp.zeros((1, 1)), DT[None], 10)
     loss, _ = TrackLoss()(model, clip, key=jax.random.key(0), step=jnp.array(0))

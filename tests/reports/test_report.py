@@ -20,7 +20,8 @@ def sections(page):
 
 def test_every_part_is_there(page):
     assert sections(page) == [
-        "movies", "sheets", "scores", "long", "state", "potential", "energy", "masses", "training", "reproduce",
+        "movies", "sheets", "scores", "long", "observation", "state", "potential", "energy", "masses", "training",
+        "reproduce",
     ]  # fmt: skip
     assert "is left out" not in page.read_text()
 
@@ -42,6 +43,7 @@ def test_the_page_needs_no_other_file(page):
     assert "url(http" not in text and "@import" not in text
     media = {path.name for path in (page.parent / "media").iterdir()}
     assert {"prediction.mp4", "prediction.gif", "sheet-1.png", "error.png", "vpt.png", "training.png"} <= media
+    assert {"keypoints.png", "potential-grid.png", "potential-grid-pictures.png", "potential-rotation.png"} <= media
 
 
 def test_tags_are_balanced(page):
@@ -81,7 +83,7 @@ def test_a_run_without_results_says_what_is_left_out(tmp_path):
     page = write_report(tmp_path)
     text = page.read_text()
     assert sections(page) == ["reproduce"]
-    assert text.count("is left out") == 7
+    assert text.count("is left out") == 8
     assert "keycld train &lt;disc&gt;" in text
 
 

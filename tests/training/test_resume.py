@@ -15,7 +15,7 @@ from scenes import TINY, write_data
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """A tiny run through all three stages that keeps every checkpoint, one after each three steps."""
+    """A tiny run through all four stages that keeps every checkpoint, one after each three steps."""
     root = tmp_path_factory.mktemp("resume")
     data = write_data(root / "data")
     model = train(data, root / "run", settings=TINY, checkpoint_seconds=0.0, log_every=3, keep=100)
@@ -39,7 +39,9 @@ def cut(root, stage: int, done: bool):
     raise AssertionError(f"no checkpoint of stage {stage}")
 
 
-@pytest.mark.parametrize(("stage", "done"), [(0, False), (0, True), (1, False), (1, True), (2, False)])
+@pytest.mark.parametrize(
+    ("stage", "done"), [(0, False), (0, True), (1, False), (1, True), (2, False), (2, True), (3, False)]
+)
 def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
     root, data, model = whole
     run = cut(root, stage, done)
@@ -47,7 +49,7 @@ def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
     for expected, found in zip(leaves(model), leaves(resumed), strict=True):
         np.testing.assert_array_equal(found, expected)
     steps = [json.loads(line)["step"] for line in (run / "metrics.jsonl").read_text().splitlines()]
-    assert steps == sorted(steps) and steps[-1] == 18
+    assert steps == sorted(steps) and steps[-1] == 22
 
 
 def test_a_finished_run_loads_without_its_data(whole):

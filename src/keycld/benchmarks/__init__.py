@@ -1,0 +1,55 @@
+"""The papers' experiments as code: which runs, which protocol, which table."""
+
+from keycld.benchmarks.experiment import DataRecipe as DataRecipe
+from keycld.benchmarks.experiment import Experiment as Experiment
+from keycld.benchmarks.experiment import Place as Place
+from keycld.benchmarks.figures import error_figure as error_figure
+from keycld.benchmarks.illustrate import Illustration as Illustration
+from keycld.benchmarks.illustrate import Illustrations as Illustrations
+from keycld.benchmarks.illustrate import illustrate as illustrate
+from keycld.benchmarks.pictures import movie_of as movie_of
+from keycld.benchmarks.running import run_experiments as run_experiments
+from keycld.benchmarks.status import Status as Status
+from keycld.benchmarks.status import count_states as count_states
+from keycld.benchmarks.status import status_of as status_of
+from keycld.benchmarks.status import status_table as status_table
+from keycld.benchmarks.suites import MODEL_TITLES as MODEL_TITLES
+from keycld.benchmarks.suites import SUITES as SUITES
+from keycld.benchmarks.suites import Suite as Suite
+from keycld.benchmarks.suites import parse_seeds as parse_seeds
+from keycld.benchmarks.suites import suite_named as suite_named
+from keycld.benchmarks.table import Table as Table
+from keycld.benchmarks.table import as_csv as as_csv
+from keycld.benchmarks.table import as_markdown as as_markdown
+from keycld.benchmarks.table import as_text as as_text
+from keycld.benchmarks.table import done_results as done_results
+from keycld.benchmarks.table import over_seeds as over_seeds
+from keycld.benchmarks.table import tables as tables
+
+__all__ = [
+    "MODEL_TITLES",
+    "SUITES",
+    "DataRecipe",
+    "Experiment",
+    "Illustration",
+    "Illustrations",
+    "Place",
+    "Status",
+    "Suite",
+    "Table",
+    "as_csv",
+    "as_markdown",
+    "as_text",
+    "count_states",
+    "done_results",
+    "error_figure",
+    "illustrate",
+    "movie_of",
+    "over_seeds",
+    "parse_seeds",
+    "run_experiments",
+    "status_of",
+    "status_table",
+    "suite_named",
+    "tables",
+]

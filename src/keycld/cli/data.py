@@ -14,29 +14,38 @@ def make(
     /,
     *,
     out: Path | None = None,
-    protocol: str = "keycld-2022",
+    protocol: str | None = None,
     control: Literal["none", "under", "full"] | None = None,
     start: Literal["rest", "random"] | None = None,
     clip: bool | None = None,
+    input: Literal["constant", "random-walk"] | None = None,
+    size: Literal["default", "full"] = "default",
+    store: Literal["states", "images"] | None = None,
     train: int | None = None,
     validation: int | None = None,
     test: int | None = None,
     long: int | None = None,
     workers: int | None = None,
 ) -> None:
-    """Make a system's data set with MuJoCo: pictures, true states, sweeps, card, statistics, preview.
+    """Make a system's data set: pictures or what draws them, true states, card, statistics, preview.
 
     Args:
-        system: pendulum, cartpole or acrobot. Interrupted work is taken up; finished data is left as it is.
+        system: pendulum, cartpole or acrobot, drawn by MuJoCo; or a set of "Which priors matter?" such as
+            toy/pendulum_colors, games/matching_pennies, md/lj_16 or room/circle (docs/datasets.md has all 17).
+            Interrupted work is taken up; finished data is left as it is.
         out: Folder; data/SYSTEM unless told.
-        protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version).
+        protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); for toy sets priors-released (the
+            configurations behind the published scores) or priors-paper (the text, where it differs). Default: first.
         control: Which inputs act: none, under (the second does not) or full. Default: the protocol's.
         start: How runs start: rest or random. Default: the protocol's.
         clip: Whether the motors limit the input to their range. Default: the protocol's.
-        train: Runs for training, for a smaller set.
+        input: Whether the input is constant in a run or a random-walk held for a frame. Default: constant.
+        size: full is the published size of the md and room sets, which takes hours; the others are full by default.
+        store: states (drawn when they are read or trained on) or images. Default: states where that can be.
+        train: Runs for training, for a smaller set; toy, games, md and room: with those of validation.
         validation: Runs for validation.
         test: Runs for the test.
-        long: Runs of 500 frames for the long test.
+        long: Runs of the long test.
         workers: Renderer processes, at most four. Default: one a core.
     """
     from keycld.data import make_data
@@ -49,6 +58,9 @@ def make(
         control=control,
         start=start,
         clip=clip,
+        input=input,
+        size=size,
+        store=store,
         runs={name: number for name, number in wanted.items() if number is not None},
         workers=workers,
         progress=_Shown(),
@@ -98,7 +110,11 @@ def show(
 
     dataset = open_data(data)
     path = out or Path(f"{dataset.folder.name}-{split}-{trajectory}.gif")
-    print(f"movie: {make_movie(dataset.split(split), path, trajectory=trajectory, scale=scale)}")
+    count = dataset.count(split)
+    if not -count <= trajectory < count:
+        raise KeycldError(f"there is no recording {trajectory}: choose 0 to {count - 1}.")
+    row = trajectory % count
+    print(f"movie: {make_movie(dataset.split(split, rows=slice(row, row + 1)), path, scale=scale)}")
 
 
 def import_(
@@ -112,10 +128,13 @@ def import_(
     crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
     frames: int = 50,
 ) -> None:
-    """Turn videos into a data set: crop, resize, resample in time, cut into trajectories.
+    """Turn videos, or a downloaded set of "Which priors matter?", into a data set.
+
+    Videos are cropped, resized, resampled in time and cut into trajectories.
 
     Args:
-        videos: One or more video files.
+        videos: One or more video files; or one folder of the original suite, with features.txt and train.tfrecord,
+            for which only --out counts.
         out: Folder of the data set.
         constraints: TOML file with keypoint names and constraints, copied beside the data.
         size: Height and width of the pictures, a multiple of 8.
@@ -123,8 +142,11 @@ def import_(
         crop: Part of the picture to keep, in pixels of the video; the largest central square unless told.
         frames: Frames of a trajectory.
     """
-    from keycld.data import import_video
+    from keycld.data import import_suite, import_video
 
+    if len(videos) == 1 and (videos[0] / "features.txt").exists():
+        print(f"imported: {import_suite(videos[0], out)}")
+        return
     folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
     print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")
 

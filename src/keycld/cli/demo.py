@@ -40,7 +40,7 @@ def demo(
 
     timed("data", data_for, system)
     timed("training", train, system, preset=preset, seed=seed, out=run, set=set)
-    timed("evaluation", evaluate, run)
-    timed("report", report, run)
+    timed("evaluation", evaluate, str(run))
+    timed("report", report, str(run))
     print("time: " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in times.items()))
     print(f"open {run / 'report.html'} in a browser")

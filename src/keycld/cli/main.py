@@ -9,12 +9,17 @@ import tyro
 
 from keycld import KeycldError, __version__
 from keycld._errors import unknown
-from keycld.cli import data, demo, evaluate, info, predict, report, train
+from keycld.cli import bench, control, data, demo, evaluate, info, predict, report, train
 
 
 def data_sets() -> None:
     """Make, check, look at or import data sets: see `keycld data --help`."""
     main(["data", "--help"])
+
+
+def benchmarks() -> None:
+    """Run the papers' experiments, see how far they are, make their tables and figures: see `keycld bench --help`."""
+    main(["bench", "--help"])
 
 
 VERBS: dict[str, Callable] = {
@@ -23,14 +28,26 @@ VERBS: dict[str, Callable] = {
     "train": train.train,
     "eval": evaluate.evaluate,
     "predict": predict.predict,
+    "control": control.control,
     "report": report.report,
+    "bench": benchmarks,
     "info": info.info,
 }
-DATA_VERBS: dict[str, Callable] = {
-    "make": data.make,
-    "check": data.check,
-    "show": data.show,
-    "import": data.import_,
+GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
+    "data": (
+        {"make": data.make, "check": data.check, "show": data.show, "import": data.import_},
+        "Make, check, look at and import data sets.",
+    ),
+    "bench": (
+        {
+            "run": bench.run,
+            "status": bench.status,
+            "table": bench.table,
+            "figures": bench.figures,
+            "report": bench.report,
+        },
+        "Run the papers' experiments, see how far they are, make their tables and figures.",
+    ),
 }
 DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving thing from video, then predict and control it.
 
@@ -47,9 +64,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
     try:
         verbs, prog, description = VERBS, "keycld", DESCRIPTION
-        if words[:1] == ["data"]:
-            words, verbs, prog = words[1:], DATA_VERBS, "keycld data"
-            description = "Make, check, look at and import data sets."
+        if words and words[0] in GROUPS:
+            verbs, description = GROUPS[words[0]]
+            prog, words = f"keycld {words[0]}", words[1:]
         elif words[:1] in (["--version"], ["-V"]):
             print(__version__)
             return 0
@@ -65,6 +82,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeycldError as error:
         print(f"keycld: {error}", file=sys.stderr)
         return 2
+    except BrokenPipeError:
+        # The reader, such as `head`, has seen enough; Python's own flush at the end must not complain either.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         print("\nkeycld: interrupted; the same command goes on from where it was.", file=sys.stderr)
         return 130

@@ -5,17 +5,17 @@ from pathlib import Path
 import tyro
 
 
-def predict(run: tyro.conf.Positional[Path], /, *, data: Path, out: Path) -> None:
+def predict(run: tyro.conf.Positional[str], /, *, data: Path, out: Path) -> None:
     """Predict all frames of every trajectory in a file from its first frames and its inputs alone.
 
     Args:
-        run: Run folder.
+        run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         data: HDF5 file in keycld's format.
         out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
     """
     from keycld.evaluation import predict_file
-    from keycld.training import load_run
+    from keycld.training import load_model
 
-    model, _ = load_run(run)
+    model, _ = load_model(run)
     predict_file(model, data, out)
     print(f"predictions: {out}")

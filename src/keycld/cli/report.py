@@ -5,12 +5,19 @@ from pathlib import Path
 import tyro
 
 
-def report(run: tyro.conf.Positional[Path], /) -> None:
+def report(run: tyro.conf.Positional[str], /) -> None:
     """Write a run's page: movies, scores, energies, masses, training curves; opens in any browser, no network.
 
     Args:
-        run: Run folder, evaluated with `keycld eval`.
+        run: Run folder, evaluated with `keycld eval`; or a trained model of the package, pendulum, cartpole or acrobot,
+            which is evaluated here where it has not been yet.
     """
     from keycld.reports import write_report
+    from keycld.training import run_folder
 
-    print(f"report: {write_report(run)}")
+    folder = run_folder(run)
+    if folder != Path(run) and not (folder / "evaluation").exists():
+        from keycld.cli.evaluate import evaluate
+
+        evaluate(run)
+    print(f"report: {write_report(folder)}")

@@ -29,8 +29,10 @@ def train(
     Args:
         data: A system (pendulum, cartpole, acrobot), whose data are made first if they are not there, or the folder of
             a data set; your own needs a constraints.toml beside it, or --constraints.
-        model: What to train: keycld.
-        preset: The whole recipe: fast (default; minutes on two cores) or paper (arXiv v1 as published; needs a GPU).
+        model: What to train: keycld, or an ablation: keycld-nc (no constraints), node2 (second-order neural ODE),
+            fc (fully connected networks).
+        preset: The whole recipe: fast (default; minutes on two cores), paper (arXiv v1 as published) or journal (the
+            2024 version); the last two need a GPU.
         seed: Decides weights and data order. Same seed, machine and settings: same bits.
         out: Run folder; runs/DATA-MODEL-PRESET-SEED unless told.
         set: Settings of the preset to change, such as vision_steps=500 joint_horizons=8,16 width=24.
@@ -47,19 +49,16 @@ def train(
 
     settings: dict[str, Any] = {}
     if config is not None:
-        data, preset, seed, settings = _from_config(config, data)
+        data, model, preset, seed, settings = _from_config(config, data)
     if not data:
         raise KeycldError("name what to train on: `keycld train pendulum`, or the folder of a data set.")
-    if model != "keycld":
-        from keycld._errors import unknown
-
-        raise unknown("model", model, ["keycld"])
-    settings |= dict(_setting(text) for text in set)
+    settings |= dict(parse_setting(text) for text in set)
     folder = data_for(data)
     run = out or Path("runs") / f"{open_data(folder).folder.name}-{model}-{preset}-{seed}"
     train_model(
         folder,
         run,
+        model=model,
         preset=preset,
         settings=settings,
         seed=seed,
@@ -71,7 +70,8 @@ def train(
     print(f"trained: {run}\nnext: keycld eval {run}, keycld report {run}")
 
 
-def _setting(text: str) -> tuple[str, Any]:
+def parse_setting(text: str) -> tuple[str, Any]:
+    """Name and value of a setting such as `joint_horizons=8,16`."""
     name, equals, value = text.partition("=")
     if not equals:
         raise KeycldError(f"--set takes NAME=VALUE, not '{text}'.")
@@ -88,9 +88,9 @@ def _number(text: str) -> Any:
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def _from_config(path: Path, data: str) -> tuple[str, str, int, dict[str, Any]]:
+def _from_config(path: Path, data: str) -> tuple[str, str, str, int, dict[str, Any]]:
     try:
         saved = json.loads(path.read_text())
-        return data or saved["data"], saved["preset"], saved["seed"], saved["settings"]
+        return data or saved["data"], saved["model"], saved["preset"], saved["seed"], saved["settings"]
     except (OSError, ValueError, KeyError) as error:
         raise KeycldError(f"--config {path} is not a run's config.json ({error}).") from None

@@ -7,8 +7,13 @@ from keycld.data.clips import RandomFrames as RandomFrames
 from keycld.data.clips import Resident as Resident
 from keycld.data.clips import StartAndLater as StartAndLater
 from keycld.data.clips import WholeTrajectories as WholeTrajectories
+from keycld.data.clips import resident as resident
 from keycld.data.dataset import DataSet as DataSet
 from keycld.data.dataset import open_data as open_data
+from keycld.data.drawn import DrawnLater as DrawnLater
+from keycld.data.drawn import with_derivative as with_derivative
+from keycld.data.drawn import with_pictures as with_pictures
+from keycld.data.import_suite import import_suite as import_suite
 from keycld.data.importing import import_video as import_video
 from keycld.data.make import Made as Made
 from keycld.data.make import Progress as Progress
@@ -26,6 +31,7 @@ __all__ = [
     "AbstractSampler",
     "Clip",
     "DataSet",
+    "DrawnLater",
     "Made",
     "Progress",
     "RandomFrames",
@@ -36,10 +42,14 @@ __all__ = [
     "WholeTrajectories",
     "check",
     "image_statistics",
+    "import_suite",
     "import_video",
     "make_data",
     "open_data",
     "read",
+    "resident",
     "show",
+    "with_derivative",
+    "with_pictures",
     "write",
 ]

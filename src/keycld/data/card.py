@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from keycld.data.store import Trajectories
 from keycld.systems import get, names
 
@@ -29,6 +31,9 @@ def card(train: Trajectories, figures: dict[str, Any]) -> str:
     parts += ["## Files", _files(figures["splits"])]
     parts += ["## Fields", _fields(train)]
     parts += ["## How it was made", _origin(about, figures)]
+    if "baselines" in figures:
+        parts += ["## Parameters and conserved quantity", _ranges(figures)]
+        parts += ["## Predictions that know nothing", _baselines(figures["baselines"])]
     parts += [
         "## How to evaluate",
         f"Valid prediction time: the first frame whose mean squared error exceeds ε = "
@@ -38,6 +43,37 @@ def card(train: Trajectories, figures: dict[str, Any]) -> str:
         "`keycld data check` on this folder compares every file with `statistics.json`.",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _ranges(figures: dict[str, Any]) -> str:
+    rows = ["| training set | least | mean | largest |", "|---|---|---|---|"]
+    named = {name: values for name, values in figures["parameters"].items() if name != "seed"}
+    if "conserved" in figures:
+        named["conserved, at the start"] = figures["conserved"]
+    rows += [f"| {name} | {v['least']:.4g} | {v['mean']:.4g} | {v['largest']:.4g} |" for name, v in named.items()]
+    if "conserved" in figures:
+        change = figures["conserved"]["largest_change"]
+        rows += ["", f"Largest change of the conserved quantity along a recording: {change:.2g}."]
+    return "\n".join(rows)
+
+
+def _baselines(baselines: dict[str, Any]) -> str:
+    rows = [
+        "| on `test.h5` | normalised error | units of tables 5 and 6 | frames below 0.025 | valid prediction time |",
+        "|---|---|---|---|---|",
+    ]
+    for name, title in (("mean_image", "mean training picture"), ("first_frame", "each recording's first frame")):
+        s = baselines[name]
+        rows.append(
+            f"| {title} | {s['normalised_error']:.4f} | {s['table_units']:.1f} | {s['below_threshold']:.2f} | "
+            f"{s['vpt']:.3f} |"
+        )
+    rows += [
+        "",
+        'The measures of "Which priors matter?": normalised error Σ (x − x̂)² / Σ x² of a frame; valid prediction time: '
+        "the first frame above 0.025, as a part of the recording, here counted from the first frame.",
+    ]
+    return "\n".join(rows)
 
 
 def _files(splits: dict[str, Any]) -> str:
@@ -54,8 +90,13 @@ def _fields(train: Trajectories) -> str:
     lines = []
     if train.image is not None:
         height, width = train.image.shape[2:4]
-        lines.append(f"- `/image`: {height} × {width} RGB, one every {about['dt']:g} s")
-    inputs = ", ".join(about.get("input_names", ())) or f"{train.input.shape[-1]} components"
+        absent = (
+            f", not stored but drawn from the state by '{about['renderer']}'" if "renderer_version" in about else ""
+        )
+        lines.append(f"- `/image`: {height} × {width} RGB, one every {about['dt']:g} s{absent}")
+    undriven = "input_names" not in about and not np.any(train.input)
+    unnamed = "zeros, nothing drives the motion" if undriven else f"{train.input.shape[-1]} components"
+    inputs = ", ".join(about.get("input_names", ())) or unnamed
     lines.append(f"- `/input`: {inputs}")
     if train.state is not None and "state_names" in about:
         units = about.get("units", ("",) * len(about["state_names"]))
@@ -66,7 +107,7 @@ def _fields(train: Trajectories) -> str:
 
 def _origin(about: Any, figures: dict[str, Any]) -> str:
     lines = [f"- generator: {about.get('generator', 'unknown')}, protocol {about.get('protocol', 'unknown')}"]
-    conditions = [f"{key} {about[key]}" for key in ("control", "start", "input_limit", "clip") if key in about]
+    conditions = [f"{key} {about[key]}" for key in ("control", "start", "input_limit", "clip", "input") if key in about]
     if conditions:
         lines.append(f"- conditions of train, validation and test: {', '.join(conditions)}")
     if about.get("renderer"):

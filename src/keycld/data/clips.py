@@ -1,4 +1,4 @@
-"""Clips: a few frames of a trajectory, sampled on the device from uint8 pictures."""
+"""Clips: a few frames of a trajectory, sampled on the device from uint8 pictures, stored or drawn on demand."""
 
 from abc import abstractmethod
 
@@ -8,21 +8,35 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
 
 from keycld._errors import KeycldError
+from keycld.data.drawn import DrawnLater, drawn_later
+from keycld.data.store import Trajectories
 
 
 class Resident(eqx.Module):
     """Training trajectories on the device. The true state is never among them.
 
-    - `image`: all frames.
+    - `image`: all frames, or what draws those that are asked for from stored states.
     - `u`: input, constant along a trajectory `[N, l]` or held from each frame to the next `[N, T, l]`.
     - `dt`: seconds between frames.
     - `keypoints`: keypoints found by a trained observer `[N, T, 2K]`, where a stage has cached them.
     """
 
-    image: UInt8[Array, "N T H W 3"]
+    image: UInt8[Array, "N T H W 3"] | DrawnLater
     u: Float[Array, "N *T l"]
     dt: Float[Array, ""]
     keypoints: Float[Array, "N T dim"] | None = None
+
+
+def resident(trajectories: Trajectories) -> Resident:
+    """Training trajectories on the device: their pictures, or, where only states are stored, what draws clips.
+
+    Raises:
+        KeycldError: there are neither pictures nor a renderer for the states.
+    """
+    image = drawn_later(trajectories) if trajectories.image is None else jnp.asarray(trajectories.image)
+    if image is None:
+        raise KeycldError("these data hold neither pictures nor states that a renderer of ours draws: add '/image'.")
+    return Resident(image, jnp.asarray(trajectories.input), jnp.asarray(trajectories.dt, jnp.float32))
 
 
 class Clip(eqx.Module):
@@ -79,11 +93,11 @@ class RandomFrames(AbstractSampler):
         count, length = data.image.shape[:2]
         trajectory = jax.random.randint(key_trajectory, (self.batch,), 0, count)
         start = jax.random.randint(key_frame, (self.batch,), 0, length)
-        return _gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1, frames=True)
+        return _gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1)
 
 
 class StartAndLater(AbstractSampler):
-    """The first two frames and a few random later ones: a long horizon for the price of a few pictures.
+    """The first frames and a few random later ones: a long horizon for the price of a few pictures.
 
     The horizon grows with the steps, because a motion that starts a little wrong is lost after a long time and teaches
     nothing there. All horizons share one compiled step.
@@ -93,6 +107,7 @@ class StartAndLater(AbstractSampler):
     - `horizons`: how many frames the first and the last possible one span; each holds for an equal part of `steps`.
     - `steps`: of the stage.
     - `cached`: give the keypoints that the stage has cached instead of pictures.
+    - `given`: how many consecutive frames come first; 2 tell position and velocity.
     """
 
     batch: int = eqx.field(static=True)
@@ -100,13 +115,15 @@ class StartAndLater(AbstractSampler):
     horizons: tuple[int, ...] = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     cached: bool = eqx.field(static=True, default=False)
+    given: int = eqx.field(static=True, default=2)
 
     def __check_init__(self):
         """Every horizon has room for the later frames."""
-        if min(self.horizons) < self.later + 2:
+        least = self.later + self.given
+        if min(self.horizons) < least:
             raise KeycldError(
-                f"a horizon of {min(self.horizons)} frames has no room for two given and {self.later} later ones; "
-                f"make it {self.later + 2} or longer, or ask for fewer later frames."
+                f"a horizon of {min(self.horizons)} frames has no room for {self.given} given and {self.later} later "
+                f"ones; make it {least} or longer, or ask for fewer later frames."
             )
 
     def span(self) -> int:
@@ -122,10 +139,10 @@ class StartAndLater(AbstractSampler):
         trajectory = jax.random.randint(trajectory_key, (self.batch,), 0, count)
         start = jax.random.randint(start_key, (self.batch,), 0, length - horizon + 1)
         # The frames with the smallest random numbers are a draw without repetition; those too late have none.
-        number = jnp.arange(2, self.span())
-        lot = jax.random.uniform(later_key, (self.batch, self.span() - 2)) + (number >= horizon)[None, :]
-        later = 2 + jnp.sort(jnp.argsort(lot, axis=1)[:, : self.later], axis=1)
-        given = jnp.broadcast_to(jnp.arange(2)[None, :], (self.batch, 2))
+        number = jnp.arange(self.given, self.span())
+        lot = jax.random.uniform(later_key, (self.batch, self.span() - self.given)) + (number >= horizon)[None, :]
+        later = self.given + jnp.sort(jnp.argsort(lot, axis=1)[:, : self.later], axis=1)
+        given = jnp.broadcast_to(jnp.arange(self.given)[None, :], (self.batch, self.given))
         index = jnp.concatenate([given, later], axis=1)
         return _gather(data, trajectory, start, index, self.span(), frames=not self.cached)
 
@@ -145,10 +162,10 @@ class WholeTrajectories(AbstractSampler):
         order = jax.random.permutation(jax.random.fold_in(key, step // count), count)
         trajectory = order[step % count][None]
         index = jnp.arange(self.length)[None, :]
-        return _gather(data, trajectory, jnp.zeros(1, int), index, self.length, frames=True)
+        return _gather(data, trajectory, jnp.zeros(1, int), index, self.length)
 
 
-def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool) -> Clip:
+def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool = True) -> Clip:
     rows, columns = trajectory[:, None], start[:, None] + index
     held = jnp.minimum(start[:, None] + jnp.arange(span)[None, :], data.image.shape[1] - 1)
     u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]

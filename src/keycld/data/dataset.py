@@ -5,8 +5,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keycld._errors import KeycldError, unknown
+from keycld.data.clips import Resident, resident
+from keycld.data.drawn import with_pictures
+from keycld.data.rules import EVERY
 from keycld.data.statistics import read_statistics
-from keycld.data.store import Trajectories, read
+from keycld.data.store import Trajectories, read, recordings
 from keycld.data.sweeps import Sweep, sweeps_of
 from keycld.systems import AbstractSystem, get, names
 
@@ -44,13 +47,37 @@ class DataSet:
             raise KeycldError(f"{self.folder} has no {name}.h5, only {', '.join(self.splits)}: make or add it.")
         return self.folder / f"{name}.h5"
 
-    def split(self, name: str, *, images: bool = True) -> Trajectories:
-        """The trajectories of one file, with or without their pictures.
+    def count(self, name: str) -> int:
+        """How many trajectories the file of a split holds.
 
         Raises:
-            KeycldError: the folder lacks the file, or something is wrong in it.
+            KeycldError: the folder lacks the file, or it is damaged.
         """
-        return read(self.path(name), images=images)
+        return recordings(self.path(name))
+
+    def split(self, name: str, *, images: bool = True, rows: slice = EVERY) -> Trajectories:
+        """The trajectories of one file, or some of them, with or without their pictures.
+
+        Pictures that are not stored are drawn, where a renderer of ours draws them.
+
+        Args:
+            name: of the file, without .h5.
+            images: False leaves `image` None.
+            rows: which trajectories, such as `slice(0, 100)`.
+
+        Raises:
+            KeycldError: the folder lacks the file, something is wrong in it, or drawing takes too much memory.
+        """
+        trajectories = read(self.path(name), images=images, rows=rows)
+        return with_pictures(trajectories) if images else trajectories
+
+    def resident(self, name: str = "train") -> Resident:
+        """The trajectories of one file on the device, for samplers: pictures, or what draws them from the states.
+
+        Raises:
+            KeycldError: as `split`, and where there are neither pictures nor a renderer of ours.
+        """
+        return resident(read(self.path(name)))
 
     def train(self) -> Trajectories:
         """What models learn from."""
@@ -73,7 +100,7 @@ class DataSet:
         """Root attributes of the first of train, validation, test that is there."""
         for name in ("train", "validation", "test", *self.splits):
             if name in self.splits:
-                return dict(read(self.path(name), images=False).attributes)
+                return dict(read(self.path(name), images=False, rows=slice(0, 1)).attributes)
         raise KeycldError(f"{self.folder} holds no .h5 file.")
 
     @property
@@ -145,7 +172,7 @@ def open_data(data: str | Path, *, constraints: str | Path | None = None) -> Dat
 def _folder(data: str | Path) -> Path:
     path = Path(data)
     bare = isinstance(data, str) and path.name == data
-    if bare and data in names():
+    if data in names():
         made = Path("data") / data
         if not made.is_dir():
             raise KeycldError(f"there are no data of the {data} in {made}: make them with 'keycld data make {data}'.")

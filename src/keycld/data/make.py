@@ -7,22 +7,33 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from keycld import __version__
 from keycld._errors import KeycldError
 from keycld.data.atomic import make_folder, write_text
 from keycld.data.dataset import PARTIAL
 from keycld.data.finish import finish
-from keycld.data.parts import make_part
-from keycld.data.protocols import Split, splits
+from keycld.data.parts import Part, make_part
+from keycld.data.protocols import PROTOCOLS, Split, splits
+from keycld.data.sampled import Store, sampled_job
 from keycld.data.statistics import read_statistics
 from keycld.data.store import join, read
 from keycld.data.sweeps import make_sweeps
-from keycld.systems import AbstractSystem, Task, get, run_in_processes
+from keycld.systems import (
+    AbstractDrawnSystem,
+    AbstractMechanism,
+    AbstractSampledSystem,
+    AbstractSystem,
+    Task,
+    get,
+    run_in_processes,
+)
 
 # Frames of a part: some seconds of drawing on a CPU, the most that a kill loses.
 _PART_FRAMES = 500
+# Seconds for a part that JAX draws, which cannot hang as GL can; molecular dynamics simulates for many minutes.
+_PATIENT = 4 * 3600.0
 
 
 @dataclass(frozen=True)
@@ -63,27 +74,23 @@ class Made:
     renderer: str
 
 
-class _Part(NamedTuple):
-    split: str
-    frames: int
-    path: Path
-    task: Task
-
-
 def make_data(
     system: str | AbstractSystem,
     out: str | Path | None = None,
     *,
-    protocol: str = "keycld-2022",
+    protocol: str | None = None,
     control: str | None = None,
     start: str | None = None,
     clip: bool | None = None,
+    input: str | None = None,
+    size: str = "default",
+    store: Store | None = None,
     runs: Mapping[str, int] | None = None,
     frames: Mapping[str, int] | None = None,
     workers: int | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Made:
-    """Make the data set of a system (KeyCLD, appendix A.6; `docs/data.md`).
+    """Make the data set of a system (`docs/data.md`, `docs/datasets.md`).
 
     The same arguments give the same numbers, however many workers there are and however often it is
     interrupted; pictures depend on the GL driver too. What is done lies in `OUT/.partial` until all is, and
@@ -92,10 +99,15 @@ def make_data(
     Args:
         system: a name of `keycld.systems.names()`, or a system.
         out: the folder; by default `data/NAME`.
-        protocol: `"keycld-2022"` (arXiv v1) or `"keycld-2024"` (journal version).
+        protocol: of a system with motors `"keycld-2022"` (arXiv v1, the default) or `"keycld-2024"` (journal version);
+            of a set of "Which priors matter?" one of the system's `protocols`, by default the first.
         control: which inputs act, instead of the protocol's choice; not in test_long, where none does.
         start: how runs start, instead of the protocol's choice; not in test_long.
         clip: whether the motors limit the input, instead of the protocol's choice.
+        input: "constant" in a run (every protocol's choice) or a "random-walk"; not in test_long, where none acts.
+        size: "full" is the published size; "default" is smaller where that takes hours (`docs/datasets.md`).
+        store: "states", drawn when they are read, or "images"; by default states wherever a picture is a function of
+            the state.
         runs: numbers of runs by split, for small sets: `{"train": 2, "test": 1}`.
         frames: numbers of frames of a run by split.
         workers: renderer processes, at most four; by default one a core.
@@ -110,21 +122,35 @@ def make_data(
     began = time.monotonic()
     system = get(system) if isinstance(system, str) else system
     folder = Path(out) if out is not None else Path("data") / system.name
-    plan = splits(protocol, control=control, start=start, clip=clip, runs=runs, frames=frames)
-    for split in plan:
-        system.check(split.conditions)
-    described = [asdict(split) for split in plan]
-    recipe = _plain({"system": system.name, "protocol": protocol, "splits": described})
-    if _finished(folder, recipe):
+    if isinstance(system, AbstractSampledSystem):
+        if not (control is start is clip is input is None):
+            raise KeycldError(f"{system.name} has no motors: leave out control, start, clip and input.")
+        recipe, parts = sampled_job(
+            system, folder / PARTIAL, protocol=protocol, size=size, store=store, runs=runs, frames=frames
+        )
+    else:
+        assert isinstance(system, AbstractMechanism)
+        if size != "default" or store == "states":
+            raise KeycldError(f"{system.name} has one size and pictures that MuJoCo draws: leave out size and store.")
+        protocol = protocol or PROTOCOLS[0]
+        plan = splits(protocol, control=control, start=start, clip=clip, input=input, runs=runs, frames=frames)
+        for split in plan:
+            system.check(split.conditions)
+        described = [asdict(split) | {"conditions": split.conditions.described()} for split in plan]
+        recipe = {"system": system.name, "protocol": protocol, "splits": described}
+        parts = _parts(system, plan, protocol, folder / PARTIAL)
+    recipe = _plain(recipe)
+    names = tuple(dict.fromkeys(part.split for part in parts))
+    if _finished(folder, recipe, names):
         shutil.rmtree(folder / PARTIAL, ignore_errors=True)
         renderer = (read_statistics(folder) or {}).get("renderer", "")
         return Made(folder, False, 0, time.monotonic() - began, renderer)
     _begin(folder, recipe)
-    parts = _parts(system, plan, protocol, folder / PARTIAL)
-    drawn = _draw(parts, workers, progress, began)
-    for name in dict.fromkeys(part.split for part in parts):
+    patience = {"time_out": _PATIENT} if isinstance(system, AbstractDrawnSystem) else {}
+    drawn = _draw(parts, workers, progress, began, patience)
+    for name in names:
         join([part.path for part in parts if part.split == name], folder / f"{name}.h5")
-    renderer = read(parts[0].path, images=False).attributes["renderer"]
+    renderer = read(parts[0].path, images=False, rows=slice(0, 1)).attributes["renderer"]
     seconds = time.monotonic() - began
     made = {"recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1), "frames_drawn": drawn}
     finish(folder, made)
@@ -137,13 +163,12 @@ def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _finished(folder: Path, recipe: dict[str, Any]) -> bool:
+def _finished(folder: Path, recipe: dict[str, Any], names: Sequence[str]) -> bool:
     """Whether the folder holds these very data; raises where it holds others."""
     found = read_statistics(folder)
     if found is None:
         return False
     _same(recipe, found.get("recipe"), folder)
-    names = [split["name"] for split in recipe["splits"]] + ["sweeps"]
     return all((folder / f"{name}.h5").exists() for name in names)
 
 
@@ -162,7 +187,8 @@ def _changed_settings(wanted: Sequence[dict[str, Any]], found: Sequence[dict[str
     changed: list[str] = []
     for new, old in zip(wanted, found, strict=False):
         flat_new, flat_old = new | new["conditions"], old | old.get("conditions", {})
-        changed += [key for key in flat_new if key != "conditions" and flat_new[key] != flat_old.get(key)]
+        keys = [key for key in flat_new | flat_old if key != "conditions"]
+        changed += [key for key in keys if flat_new.get(key) != flat_old.get(key)]
     words = {"seeds": "number of runs", "frames": "number of frames"}
     return [words.get(key, key) for key in dict.fromkeys(changed)]
 
@@ -181,7 +207,7 @@ def _begin(folder: Path, recipe: dict[str, Any]) -> None:
     write_text(marker, json.dumps(recipe))
 
 
-def _parts(system: AbstractSystem, plan: Sequence[Split], protocol: str, partial: Path) -> list[_Part]:
+def _parts(system: AbstractMechanism, plan: Sequence[Split], protocol: str, partial: Path) -> list[Part]:
     attributes = {
         "system": system.name,
         "dt": system.dt,
@@ -198,20 +224,25 @@ def _parts(system: AbstractSystem, plan: Sequence[Split], protocol: str, partial
             seeds = tuple(range(first, min(first + size, split.seeds[1])))
             path = partial / f"{split.name}-{first:05d}.h5"
             task = Task(make_part, (system, split, seeds, attributes, path))
-            parts.append(_Part(split.name, len(seeds) * split.frames, path, task))
+            parts.append(Part(split.name, len(seeds) * split.frames, path, task))
     path = partial / "sweeps.h5"
     frames = sum(len(sweep.state) for sweep in system.sweeps())
-    return [*parts, _Part("sweeps", frames, path, Task(make_sweeps, (system, attributes, path)))]
+    return [*parts, Part("sweeps", frames, path, Task(make_sweeps, (system, attributes, path)))]
 
 
 def _draw(
-    parts: Sequence[_Part], workers: int | None, progress: Callable[[Progress], None] | None, began: float
+    parts: Sequence[Part],
+    workers: int | None,
+    progress: Callable[[Progress], None] | None,
+    began: float,
+    patience: Mapping[str, float],
 ) -> int:
     missing = [part for part in parts if not part.path.exists()]
     total, fresh = sum(part.frames for part in parts), 0
     already = total - sum(part.frames for part in missing)
     # Closed at once when `progress` raises, so that no worker outlives the call.
-    with contextlib.closing(run_in_processes([part.task for part in missing], workers=workers)) as results:
+    tasks = [part.task for part in missing]
+    with contextlib.closing(run_in_processes(tasks, workers=workers, **patience)) as results:
         for index, _ in results:
             fresh += missing[index].frames
             if progress is not None:

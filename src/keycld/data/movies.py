@@ -10,7 +10,7 @@ from keycld.data.store import Trajectories
 
 # A GIF counts in hundredths of a second and browsers slow down anything faster than two of them.
 _GIF_RATE = 50.0
-_PREVIEWED = 4
+PREVIEWED = 4
 
 
 def show(trajectories: Trajectories, out: str | Path, *, trajectory: int = 0, scale: int = 4) -> Path:
@@ -41,13 +41,13 @@ def write_preview(trajectories: Trajectories, path: Path) -> None:
     from keycld.drawing import save_movie, side_by_side
 
     stride = _stride(trajectories.dt)
-    panels = list(_images(trajectories)[:_PREVIEWED, ::stride])
+    panels = list(_images(trajectories)[:PREVIEWED, ::stride])
     save_movie(path, side_by_side(panels), fps=1.0 / (stride * trajectories.dt), scale=2)
 
 
 def _images(trajectories: Trajectories) -> np.ndarray:
     if trajectories.image is None:
-        raise KeycldError("this file holds no pictures, only states: draw them first.")
+        raise KeycldError("these recordings hold no pictures, only states that no renderer of ours draws.")
     return trajectories.image
 
 

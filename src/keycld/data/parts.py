@@ -1,32 +1,40 @@
 """The work of one renderer process: simulate and draw a few runs and leave them as one file."""
 
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data.protocols import Split
 from keycld.data.store import Trajectories, write
-from keycld.systems import AbstractSystem, Run, draw_in_worker
+from keycld.systems import AbstractMechanism, Run, Task, draw_in_worker
 
 _LARGEST_TURN = 1.0
 _MOST_DRAWS = 1000
 
 
-def _leaves_image(system: AbstractSystem, run: Run) -> bool:
+class Part(NamedTuple):
+    """A piece of a data set: `task` writes `frames` frames of the file `split` to `path`."""
+
+    split: str
+    frames: int
+    path: Path
+    task: Task
+
+
+def _leaves_image(system: AbstractMechanism, run: Run) -> bool:
     return bool(np.any(np.abs(system.landmarks(run.state)) > 1.0))
 
 
-def _turns_too_fast(system: AbstractSystem, run: Run) -> bool:
+def _turns_too_fast(system: AbstractMechanism, run: Run) -> bool:
     """Whether an angle changes by more than 1 rad between two frames: soon after, its sense gets lost."""
     angles = [unit == "rad" for unit in system.units]
     return bool(np.any(np.abs(np.diff(run.state[:, angles], axis=0)) > _LARGEST_TURN))
 
 
-def record(system: AbstractSystem, split: Split, seed: int) -> tuple[Run, int]:
+def record(system: AbstractMechanism, split: Split, seed: int) -> tuple[Run, int]:
     """The run of one seed, and how many were drawn from it until one passed the screen (1 without a screen).
 
     Raises:
@@ -41,7 +49,7 @@ def record(system: AbstractSystem, split: Split, seed: int) -> tuple[Run, int]:
 
 
 def make_part(
-    system: AbstractSystem, split: Split, seeds: tuple[int, ...], attributes: Mapping[str, Any], path: Path
+    system: AbstractMechanism, split: Split, seeds: tuple[int, ...], attributes: Mapping[str, Any], path: Path
 ) -> None:
     """Write the runs of `seeds` to `path`."""
     recorded = [record(system, split, seed) for seed in seeds]
@@ -55,6 +63,6 @@ def make_part(
         state=state,
         state_derivative=np.stack([run.state_derivative for run in runs]),
         parameters={"seed": np.array(seeds), "draws": np.array([draws for _, draws in recorded])},
-        attributes={**attributes, **asdict(split.conditions), "seed": split.seeds[0], "renderer": renderer},
+        attributes={**attributes, **split.conditions.described(), "seed": split.seeds[0], "renderer": renderer},
     )
     write(path, trajectories)

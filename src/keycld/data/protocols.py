@@ -46,19 +46,20 @@ def splits(
     control: str | None = None,
     start: str | None = None,
     clip: bool | None = None,
+    input: str | None = None,
     runs: Mapping[str, int] | None = None,
     frames: Mapping[str, int] | None = None,
 ) -> tuple[Split, ...]:
     """The splits of a protocol.
 
-    **Arguments:** `control`, `start`, `clip` replace the protocol's; `runs`, `frames`: numbers by split,
+    **Arguments:** `control`, `start`, `clip`, `input` replace the protocol's; `runs`, `frames`: numbers by split,
     for smaller sets (a run's content depends on its seed and its length only).
 
     **Raises:** `KeycldError` for an unknown protocol or split, or a number below 1 run or 3 frames.
     """
     if protocol not in _CONDITIONS:
         raise unknown("protocol", protocol, PROTOCOLS)
-    changes: dict[str, Any] = {"control": control, "start": start, "clip": clip}
+    changes: dict[str, Any] = {"control": control, "start": start, "clip": clip, "input": input}
     conditions = dataclasses.replace(
         _CONDITIONS[protocol], **{name: value for name, value in changes.items() if value is not None}
     )

@@ -10,6 +10,8 @@ import numpy as np
 File = Any
 
 SCHEMA_VERSION = 1
+EVERY = slice(None)
+_BLOCK = 1000
 _ATTRIBUTES = {
     "schema_version": f"the number {SCHEMA_VERSION}",
     "system": "the name of what moves, or any word",
@@ -19,12 +21,12 @@ _ATTRIBUTES = {
 _TIME_TOLERANCE = 0.02
 
 
-def check_structure(file: File) -> list[str]:
-    """What is wrong with all but the pixels of an open file."""
+def check_structure(file: File, rows: slice = EVERY) -> list[str]:
+    """What is wrong with all but the pixels of an open file; numbers are looked at in `rows` only."""
     problems = list(_attribute_problems(file)) + list(_field_problems(file))
     # Shapes are compared where every field is there and of the right kind, values where shapes agree.
     problems = problems or list(_shape_problems(file))
-    return problems or list(_value_problems(file))
+    return problems or list(_value_problems(file, rows))
 
 
 def _attribute_problems(file: File) -> Iterator[str]:
@@ -115,13 +117,14 @@ def _names_problems(file: File) -> Iterator[str]:
             )
 
 
-def _value_problems(file: File) -> Iterator[str]:
-    for name in ("time", "input", "state", "state_derivative"):
+def _value_problems(file: File, rows: slice) -> Iterator[str]:
+    yield from _finite("/time", file["time"], EVERY)
+    for name in ("input", "state", "state_derivative"):
         if name in file:
-            yield from _finite(f"/{name}", np.asarray(file[name]))
+            yield from _finite(f"/{name}", file[name], rows)
     for name, dataset in file.get("parameters", {}).items():
         if dataset.dtype.kind == "f":
-            yield from _finite(f"/parameters/{name}", np.asarray(dataset))
+            yield from _finite(f"/parameters/{name}", dataset, rows)
     time, dt = np.asarray(file["time"], np.float64), float(file.attrs["dt"])
     steps = np.diff(time)
     if not np.all(np.isfinite(steps)):
@@ -137,15 +140,19 @@ def _value_problems(file: File) -> Iterator[str]:
         )
 
 
-def _finite(name: str, values: np.ndarray) -> Iterator[str]:
-    bad = ~np.isfinite(values)
-    if np.any(bad):
-        first = np.unravel_index(int(np.argmax(bad)), bad.shape)
-        where = ", ".join(str(int(i)) for i in first)
-        yield (
-            f"'{name}'[{where}] is {values[first]} ({int(bad.sum())} such values): "
-            "remove the recording or mend the numbers."
-        )
+def _finite(name: str, dataset: Any, rows: slice) -> Iterator[str]:
+    first, last, _ = rows.indices(len(dataset))
+    count, where, value = 0, "", 0.0
+    # Some rows at a time: a file may be larger than memory.
+    for start in range(first, last, _BLOCK):
+        values = np.asarray(dataset[start : min(start + _BLOCK, last)])
+        bad = ~np.isfinite(values)
+        if count == 0 and np.any(bad):
+            index = np.unravel_index(int(np.argmax(bad)), bad.shape)
+            value, where = values[index], ", ".join(str(int(i)) for i in (start + index[0], *index[1:]))
+        count += int(bad.sum())
+    if count:
+        yield f"'{name}'[{where}] is {value} ({count} such values): remove the recording or mend the numbers."
 
 
 def check_images(file: File) -> list[str]:

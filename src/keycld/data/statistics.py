@@ -10,9 +10,12 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data.atomic import write_text
-from keycld.data.store import read
+from keycld.data.drawn import with_pictures
+from keycld.data.store import blocks, read, recordings
 
 _NAME = "statistics.json"
+# Recordings whose pictures are looked at.
+PICTURED = 1000
 
 
 def sha256(path: Path) -> str:
@@ -42,18 +45,23 @@ def write_statistics(folder: Path, figures: dict[str, Any]) -> None:
 
 
 def split_statistics(path: Path) -> dict[str, Any]:
-    """Figures of one file: counts, size, check-sum, pictures and motion (grey levels in [0, 1])."""
-    trajectories = read(path)
+    """Figures of one file: counts, size, check-sum, pictures and motion (grey levels in [0, 1]).
+
+    Those of pictures are of the first 1,000 recordings; where there are more, `pictured` says so.
+    """
+    first = with_pictures(read(path, rows=slice(0, PICTURED)))
     figures: dict[str, Any] = {
-        "trajectories": len(trajectories),
-        "frames": trajectories.frames,
+        "trajectories": recordings(path),
+        "frames": first.frames,
         "bytes": path.stat().st_size,
         "sha256": sha256(path),
     }
-    if trajectories.image is not None:
-        figures |= image_statistics(trajectories.image)
-    if trajectories.state is not None:
-        figures["motion_per_frame"] = _motion(trajectories.state, trajectories.attributes.get("state_names"))
+    if first.image is not None:
+        figures |= image_statistics(first.image)
+        if len(first) < figures["trajectories"]:
+            figures["pictured"] = len(first)
+    if first.state is not None:
+        figures["motion_per_frame"] = _motion(path, first.attributes.get("state_names"))
     return figures
 
 
@@ -78,9 +86,10 @@ def image_statistics(image: np.ndarray) -> dict[str, Any]:
     }
 
 
-def _motion(state: np.ndarray, names: Sequence[str] | None) -> dict[str, dict[str, float]]:
+def _motion(path: Path, names: Sequence[str] | None) -> dict[str, dict[str, float]]:
     """Each component's largest change between two frames of a recording: the fastest moment decides."""
-    steps = np.abs(np.diff(state, axis=1)).max(axis=1)
+    states = (block.state for block in blocks(path))
+    steps = np.concatenate([np.abs(np.diff(state, axis=1)).max(axis=1) for state in states if state is not None])
     return {
         name: {
             "median": float(np.median(steps[:, i])),

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,12 +13,14 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data.atomic import atomic
-from keycld.data.rules import SCHEMA_VERSION, check_images, check_structure
+from keycld.data.rules import EVERY, SCHEMA_VERSION, check_images, check_structure
 
 # Successive frames are alike and lie within deflate's window of 32 kB: level 4 makes pendulum pictures 28
 # times smaller at no more time than level 1 (10 times smaller) or LZF (1.5 times). Shuffling does nothing
 # for bytes.
 _COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 4}
+# Files are put together in memory up to this size.
+_LARGE = 5e8
 
 
 @dataclass(frozen=True)
@@ -115,24 +118,24 @@ def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def _parameter(dataset: h5py.Dataset) -> np.ndarray:
+def _parameter(dataset: h5py.Dataset, rows: slice) -> np.ndarray:
     if h5py.check_string_dtype(dataset.dtype) is not None:
-        return np.asarray(dataset.asstr()[...], dtype=np.str_)
-    return np.asarray(dataset)
+        return np.asarray(dataset.asstr()[rows], dtype=np.str_)
+    return np.asarray(dataset[rows])
 
 
-def _load_small(file: Any) -> Trajectories:
+def _load_small(file: Any, rows: slice = EVERY) -> Trajectories:
     """All but the pictures, in the format's own types."""
 
     def optional(name: str) -> np.ndarray | None:
-        return np.asarray(file[name], np.float64) if name in file else None
+        return np.asarray(file[name][rows], np.float64) if name in file else None
 
     return Trajectories(
         time=np.asarray(file["time"], np.float64),
-        input=np.asarray(file["input"], np.float32),
+        input=np.asarray(file["input"][rows], np.float32),
         state=optional("state"),
         state_derivative=optional("state_derivative"),
-        parameters={name: _parameter(dataset) for name, dataset in file.get("parameters", {}).items()},
+        parameters={name: _parameter(dataset, rows) for name, dataset in file.get("parameters", {}).items()},
         attributes={key: _plain(value) for key, value in file.attrs.items()},
     )
 
@@ -162,26 +165,39 @@ def open_file(path: str | Path) -> Iterator[Any]:
         ) from error
 
 
-def read(path: str | Path, *, images: bool = True) -> Trajectories:
-    """Read one HDF5 file and check it.
+def read(path: str | Path, *, images: bool = True, rows: slice = EVERY) -> Trajectories:
+    """Read one HDF5 file, or some of its recordings, and check it.
 
     Args:
         path: the file.
         images: False leaves the pictures on the disk (`image` is None).
+        rows: which recordings, such as `slice(0, 100)`; the others' numbers are not looked at.
 
     Raises:
         KeycldError: says what is wrong in the file, where, and the mend.
     """
     with open_file(path) as file:
-        _refuse(check_structure(file), path)
-        trajectories = _load_small(file)
+        _refuse(check_structure(file, rows), path)
+        trajectories = _load_small(file, rows)
         if not images or "image" not in file:
             return trajectories
         try:
-            return dataclasses.replace(trajectories, image=np.asarray(file["image"]))
+            return dataclasses.replace(trajectories, image=np.asarray(file["image"][rows]))
         except OSError:
             _refuse(check_images(file), path)
             raise
+
+
+def recordings(path: str | Path) -> int:
+    """How many recordings a file holds."""
+    with open_file(path) as file:
+        return len(file["input"])
+
+
+def blocks(path: str | Path, size: int = 1000) -> Iterator[Trajectories]:
+    """A file's trajectories without their pictures, some at a time, for files that memory may not hold."""
+    for first in range(0, recordings(path), size):
+        yield read(path, images=False, rows=slice(first, first + size))
 
 
 def join(parts: Sequence[Path], path: Path) -> None:
@@ -193,6 +209,9 @@ def join(parts: Sequence[Path], path: Path) -> None:
     Raises:
         KeycldError: as `write` and `read`.
     """
+    if sum(part.stat().st_size for part in parts) > _LARGE:
+        _join_on_disk(parts, path)
+        return
     loaded = [read(part, images=False) for part in parts]
     first = loaded[0]
 
@@ -218,10 +237,43 @@ def join(parts: Sequence[Path], path: Path) -> None:
             image.id.write_direct_chunk((position, 0, 0, 0, 0), chunk, mask)
 
 
+def _join_on_disk(parts: Sequence[Path], path: Path) -> None:
+    """The same, part by part, for files that memory may not hold."""
+    size = sum(part.stat().st_size for part in parts)
+    free = shutil.disk_usage(path.parent).free
+    if free < 1.05 * size:  # HDF5 itself may crash on a full disk
+        raise KeycldError(
+            f"{path} takes {size / 1e9:.1f} GB but the disk has {free / 1e9:.1f} GB left: free some space and run it "
+            "again."
+        )
+    counts = [recordings(part) for part in parts]
+    with atomic(path) as temporary, open_file(parts[0]) as first, h5py.File(temporary, "w") as new:
+        file: Any = new
+        file.attrs.update(first.attrs)
+        file["time"] = first["time"][...]
+        for name in _fields(first):
+            old = first[name]
+            stored = _COMPRESSION | {"chunks": old.chunks} if name == "image" else {}
+            file.create_dataset(name, (sum(counts), *old.shape[1:]), old.dtype, **stored)
+        for row, part in zip(np.cumsum([0, *counts]), parts, strict=False):
+            with open_file(part) as source:
+                for name in _fields(source):
+                    if name != "image":
+                        file[name][row : row + len(source[name])] = source[name][...]
+            for i, (mask, chunk, _) in enumerate(_chunks(part)):
+                file["image"].id.write_direct_chunk((row + i, 0, 0, 0, 0), chunk, mask)
+
+
+def _fields(file: Any) -> list[str]:
+    """Names of all that has one row a recording."""
+    fields = [name for name in ("input", "image", "state", "state_derivative") if name in file]
+    return fields + [f"parameters/{name}" for name in file.get("parameters", {})]
+
+
 def _chunks(path: Path) -> Iterator[tuple[int, bytes, tuple[int, ...]]]:
     """Each recording's compressed pictures: filter mask, bytes, and shape [T, H, W, 3]."""
     with open_file(path) as file:
-        image = file["image"]
+        image = file.get("image", ())
         for index in range(len(image)):
             mask, chunk = image.id.read_direct_chunk((index, 0, 0, 0, 0))
             yield mask, chunk, image.shape[1:]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from keycld.data.store import Trajectories, write
-from keycld.systems import AbstractSystem, draw_in_worker
+from keycld.systems import AbstractMechanism, draw_in_worker
 
 
 class Sweep(NamedTuple):
@@ -28,7 +28,7 @@ class Sweep(NamedTuple):
     state: np.ndarray
 
 
-def make_sweeps(system: AbstractSystem, attributes: Mapping[str, Any], path: Path) -> None:
+def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: Path) -> None:
     """Draw the system's sweeps and write them to `path`; for a worker process."""
     sweeps = system.sweeps()
     lengths = np.array([len(sweep.state) for sweep in sweeps])

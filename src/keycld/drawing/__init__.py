@@ -14,6 +14,7 @@ from keycld.drawing.files import save_image as save_image
 from keycld.drawing.files import save_movie as save_movie
 from keycld.drawing.frames import as_uint8 as as_uint8
 from keycld.drawing.frames import enlarge as enlarge
+from keycld.drawing.frames import labelled_sheet as labelled_sheet
 from keycld.drawing.frames import sheet as sheet
 from keycld.drawing.frames import side_by_side as side_by_side
 from keycld.drawing.overlays import overlay_heat_maps as overlay_heat_maps
@@ -35,6 +36,7 @@ __all__ = [
     "enlarge",
     "figure_svg",
     "histogram_figure",
+    "labelled_sheet",
     "map_figure",
     "overlay_heat_maps",
     "overlay_keypoints",

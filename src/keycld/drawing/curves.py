@@ -99,11 +99,7 @@ def curves_figure(
         if any(curve.label for curve in curves):
             axes.legend(loc="best")
         for limit in limits:
-            axes.axhline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
-            axes.annotate(
-                limit.label, (1.0, limit.value), (3, 0), xycoords=("axes fraction", "data"),
-                textcoords="offset points", ha="left", va="center", color=limit.colour, fontsize=8.5,
-            )  # fmt: skip
+            _draw_limit(axes, limit)
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         return figure
@@ -113,9 +109,11 @@ def panels_figure(
     panels: Sequence[tuple[str, Sequence[Curve]]],
     x_label: str,
     *,
+    y_label: str = "",
     columns: int = 3,
     logarithmic: bool = False,
     marks: Sequence[tuple[float, str]] = (),
+    limits: Sequence[Limit] = (),
     panel_size: tuple[float, float] = (2.9, 1.9),
 ) -> Figure:
     """Small multiples: one titled panel for each entry, on one horizontal axis.
@@ -123,9 +121,11 @@ def panels_figure(
     Args:
         panels: pairs of a title and the curves under it; the labels of the first stand above all.
         x_label: below the lowest row.
+        y_label: left of the first column.
         columns: panels in a row.
         logarithmic: vertical axes.
         marks: vertical hairlines (x, word) in every panel; the words stand in the first row.
+        limits: horizontal dashed lines, one a panel in their order, or none.
         panel_size: inches.
     """
     columns = min(columns, len(panels))
@@ -147,6 +147,10 @@ def panels_figure(
                         word, (x, 1.0), (2, 2), xycoords=("data", "axes fraction"),
                         textcoords="offset points", fontsize=6.5, color=INK.quiet, annotation_clip=False,
                     )  # fmt: skip
+            if limits:
+                _draw_limit(axes, limits[k])
+            if k % columns == 0:
+                axes.set_ylabel(y_label)
             if k + columns >= len(panels):
                 axes.set_xlabel(x_label)
                 axes.tick_params(labelbottom=True)
@@ -257,6 +261,14 @@ def figure_svg(figure: Figure, name: str) -> str:
         figure.savefig(buffer, format="svg", facecolor="none", metadata={"Date": None})
         text = buffer.getvalue()
     return text[text.index("<svg") :]
+
+
+def _draw_limit(axes: Axes, limit: Limit) -> None:
+    axes.axhline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
+    axes.annotate(
+        limit.label, (1.0, limit.value), (3, 0), xycoords=("axes fraction", "data"),
+        textcoords="offset points", ha="left", va="center", color=limit.colour, fontsize=8.5,
+    )  # fmt: skip
 
 
 def _draw(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:

@@ -80,6 +80,50 @@ def sheet(rows: Sequence[UInt8[np.ndarray, "_ _ _ 3"]], every: int = 6, gap: int
     return np.concatenate(lines, axis=0)
 
 
+def labelled_sheet(
+    rows: Sequence[UInt8[np.ndarray, "_ _ _ 3"]],
+    labels: Sequence[str],
+    heads: Sequence[str],
+    scale: int = 2,
+    gap: int = 2,
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Every frame from left to right, one stack a row, with words: the layout of the paper's Figs. 13 to 15.
+
+    Args:
+        rows: stacks of one shape, one frame a column.
+        labels: left of each row.
+        heads: above each column.
+        scale: enlargement of the frames.
+        gap: dark pixels between frames.
+
+    Raises:
+        KeycldError: rows of unequal shapes, or not one label a row and one head a column.
+    """
+    large = [enlarge(row, scale) for row in rows]
+    picture = sheet(large, every=1, gap=gap)
+    count, height, width, _ = large[0].shape
+    if (len(labels), len(heads)) != (len(rows), count):
+        raise KeycldError(
+            f"a sheet of {len(rows)} rows and {count} columns needs as many words; got {len(labels)} and {len(heads)}."
+        )
+    # Widths in pixels at the strip's type size; the longest label decides.
+    side = max(40, 8 * max(len(label) for label in labels) + 8)
+    column = [text_strip(label, side, height) for label in labels]
+    words = [text_strip(head, width) for head in heads]
+    left = _stacked(column, gap, axis=0)
+    top = _stacked(words, gap, axis=1)
+    corner = _blank((top.shape[0], side, 3))
+    return np.concatenate([np.concatenate([corner, left]), np.concatenate([top, picture])], axis=1)
+
+
+def _stacked(parts: Sequence[np.ndarray], gap: int, axis: int) -> np.ndarray:
+    """Pictures in a line with dark pixels between them."""
+    shape = list(parts[0].shape)
+    shape[axis] = gap
+    spaced = [piece for part in parts for piece in (_blank(tuple(shape)), part)]
+    return np.concatenate(spaced[1:], axis=axis)
+
+
 def text_strip(text: str, width: int, height: int = 22) -> UInt8[np.ndarray, "height width 3"]:
     """A dark strip with one centred word."""
     figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0)

@@ -124,9 +124,10 @@ def evaluate(
     if "keypoints" in predicted:
         scores["keypoints"] = _names(data, predicted["keypoints"].shape[2])
         watched = observe(model, arrays["truth"].reshape(-1, *truth.shape[2:]), heat_maps=True)
-        assert watched is not None and watched[1] is not None
+        assert watched is not None
         arrays["observed_keypoints"] = watched[0].reshape(*arrays["truth"].shape[:2], -1, 2)
-        arrays["heat_maps"] = watched[1].reshape(*arrays["truth"].shape[:2], *watched[1].shape[1:])
+        if watched[1] is not None:
+            arrays["heat_maps"] = watched[1].reshape(*arrays["truth"].shape[:2], *watched[1].shape[1:])
         passed += len(watched[0])
         state = _probe(model, data, trajectories, predicted["keypoints"], shared)
         if state is not None:

@@ -159,7 +159,7 @@ def _observe(model: AbstractModel, frames: Array, heat_maps: bool) -> tuple[Arra
 def observe(
     model: AbstractModel, frames: UInt8[np.ndarray, "M H W 3"], *, heat_maps: bool = False
 ) -> tuple[Float[np.ndarray, "M K 2"], UInt8[np.ndarray, "M K rows columns"] | None] | None:
-    """The keypoints seen in each frame and, if asked for, the heat maps with each peak at 255; or None."""
+    """The keypoints seen in each frame and, if asked for and there, heat maps with each peak at 255; or None."""
     found = []
     for index, count in batches(len(frames), 64):
         seen = _observe(model, jnp.asarray(frames[index], jnp.float32) / 255.0, heat_maps)
@@ -168,7 +168,8 @@ def observe(
         maps = None if seen[1] is None else _bytes(np.asarray(seen[1])[:count])
         found.append((np.asarray(seen[0])[:count], maps))
     keypoints = np.concatenate([points for points, _ in found])
-    return keypoints, np.concatenate([maps for _, maps in found]) if heat_maps else None
+    shown = [maps for _, maps in found if maps is not None]
+    return keypoints, np.concatenate(shown) if shown else None
 
 
 def _bytes(heat_maps: np.ndarray) -> np.ndarray:

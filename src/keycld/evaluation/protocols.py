@@ -44,30 +44,45 @@ class Protocol:
             )
 
 
+def _protocol(split: str, horizon: int, given: int, shown: int = 6) -> Protocol:
+    """A protocol under its standard name, such as `test@50` or, with three given frames, `test@50-given-3`."""
+    name = f"{split}@{horizon}" + ("" if given == 2 else f"-given-{given}")
+    return Protocol(name, split, horizon, given=given, shown=shown)
+
+
+_GIVEN = {"keycld-2024": 3}
 _PROTOCOLS = {
     protocol.name: protocol
+    for given in (2, 3)
     for protocol in (
-        Protocol("test@50", "test", 50),
-        Protocol("validation@50", "validation", 50),
-        Protocol("test_long@200", "test_long", 200, shown=3),
-        Protocol("test_long@500", "test_long", 500, shown=3),
+        _protocol("test", 50, given),
+        _protocol("validation", 50, given),
+        _protocol("test_long", 200, given, shown=3),
+        _protocol("test_long", 500, given, shown=3),
     )
 }
 
 
-def standard_protocols() -> tuple[Protocol, ...]:
-    """The standard protocols: the paper's, on unseen and on validation runs, and two longer horizons."""
-    return tuple(_PROTOCOLS.values())
+def standard_protocols(given: int = 2) -> tuple[Protocol, ...]:
+    """The standard protocols: the paper's, on unseen and on validation runs, and two longer horizons.
+
+    Args:
+        given: frames that the model sees: 2 (arXiv v1) or 3 (journal version).
+    """
+    return tuple(protocol for protocol in _PROTOCOLS.values() if protocol.given == given)
 
 
 def protocols_for(data: "DataSet") -> tuple[Protocol, ...]:
-    """The standard protocols that the files of a data set allow; shorter recordings are scored to their end."""
+    """The standard protocols that the files of a data set allow; shorter recordings are scored to their end.
+
+    Data made by the journal version's protocol give three frames, all others two.
+    """
     found = {}
-    for protocol in standard_protocols():
+    for protocol in standard_protocols(_GIVEN.get(str(data.attributes.get("protocol")), 2)):
         if protocol.split in data.splits:
             horizon = min(protocol.horizon, data.split(protocol.split, images=False).frames)
-            name = f"{protocol.split}@{horizon}"
-            found[name] = dataclasses.replace(protocol, name=name, horizon=horizon)
+            scored = _protocol(protocol.split, horizon, protocol.given)
+            found[scored.name] = dataclasses.replace(protocol, name=scored.name, horizon=horizon)
     return tuple(found.values())
 
 

@@ -22,7 +22,7 @@ def summary(scores: Mapping[str, Any]) -> str:
     ]
     lines += [_row(name, values, factors) for name, values in scores["baselines"].items()]
     paper = PAPER_VPT.get(system)
-    if paper and protocol["horizon"] == 50:
+    if paper and protocol["horizon"] == 50 and protocol["given"] == 2:
         lines.append(f"  {'paper: KeyCLD':24}{paper['KeyCLD']:12.2f}")
     mean = scores["vpt"][factors[0]]
     lines.append(

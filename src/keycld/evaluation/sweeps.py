@@ -34,8 +34,7 @@ def evaluate_sweeps(model: AbstractModel, data: "DataSet") -> Evaluation:
         scores hold the range of V over each path. Its arrays: `names`, `vary` (names of the states that
         change, joined by commas) and `units` (theirs, likewise), one a path; and for each NAME of length n:
         `NAME/values [n, …]` of those states, `NAME/shape`, `NAME/potential [n]`, `NAME/keypoints [n, K,
-        2]`, `NAME/image [n, H, W, 3]` and `NAME/heat_maps [n, K, …]`.
-
+        2]`, `NAME/image [n, H, W, 3]` and, where the observer has maps, `NAME/heat_maps [n, K, …]`.
     """
     sweeps = data.sweeps()
     if law_of(model) is None or not sweeps:
@@ -50,15 +49,16 @@ def evaluate_sweeps(model: AbstractModel, data: "DataSet") -> Evaluation:
     }
     for sweep, picked in zip(sweeps, columns, strict=True):
         seen = observe(model, sweep.image, heat_maps=True)
-        if seen is None or seen[1] is None:
+        if seen is None:
             return Evaluation({}, {})
         arrays |= {
             f"{sweep.name}/values": sweep.state[:, picked],
             f"{sweep.name}/shape": np.array(sweep.shape),
             f"{sweep.name}/potential": np.asarray(_potential(model, jnp.asarray(seen[0]))),
             f"{sweep.name}/keypoints": seen[0],
-            f"{sweep.name}/heat_maps": seen[1],
             f"{sweep.name}/image": sweep.image,
         }
+        if seen[1] is not None:
+            arrays[f"{sweep.name}/heat_maps"] = seen[1]
     ranges = {name: float(np.ptp(arrays[f"{name}/potential"])) for name in names}
     return Evaluation({"potential_range": ranges}, arrays)

@@ -10,6 +10,8 @@ from keycld.mechanics.constraints_toml import dump_constraints as dump_constrain
 from keycld.mechanics.constraints_toml import load_constraints as load_constraints
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
+from keycld.mechanics.fitting import Fitted as Fitted
+from keycld.mechanics.fitting import fit_motions as fit_motions
 from keycld.mechanics.generalized import GeneralizedLagrangian as GeneralizedLagrangian
 from keycld.mechanics.generalized import MLPFactor as MLPFactor
 from keycld.mechanics.generalized import pulled_back as pulled_back
@@ -22,11 +24,13 @@ from keycld.mechanics.integrators import RK4 as RK4
 from keycld.mechanics.integrators import AbstractIntegrator as AbstractIntegrator
 from keycld.mechanics.integrators import Euler as Euler
 from keycld.mechanics.integrators import Leapfrog as Leapfrog
+from keycld.mechanics.lagrangian import AbstractLagrangian as AbstractLagrangian
 from keycld.mechanics.lagrangian import AbstractLaw as AbstractLaw
 from keycld.mechanics.lagrangian import ConstrainedLagrangian as ConstrainedLagrangian
 from keycld.mechanics.linear import solve_positive as solve_positive
 from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatrix
 from keycld.mechanics.networks import AffineMLPPotential as AffineMLPPotential
+from keycld.mechanics.networks import CoupledMasses as CoupledMasses
 from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
 from keycld.mechanics.networks import MLPPotential as MLPPotential
 from keycld.mechanics.networks import Perceptron as Perceptron
@@ -40,6 +44,7 @@ from keycld.mechanics.rigid_body import PointPair as PointPair
 from keycld.mechanics.rigid_body import RigidBody as RigidBody
 from keycld.mechanics.rigid_body import rigid_body as rigid_body
 from keycld.mechanics.rigid_body import two_point_masses as two_point_masses
+from keycld.mechanics.second_order import SecondOrderNetwork as SecondOrderNetwork
 from keycld.mechanics.shake import Shake as Shake
 from keycld.mechanics.state import AbstractDynamics as AbstractDynamics
 from keycld.mechanics.state import Motion as Motion
@@ -50,6 +55,7 @@ __all__ = [
     "AbstractConstraint",
     "AbstractDynamics",
     "AbstractIntegrator",
+    "AbstractLagrangian",
     "AbstractLaw",
     "AbstractRelation",
     "AdaptiveDynamics",
@@ -57,8 +63,10 @@ __all__ = [
     "AffineMLPPotential",
     "ConstrainedLagrangian",
     "Constraints",
+    "CoupledMasses",
     "DistanceToPoint",
     "Euler",
+    "Fitted",
     "FixedDistance",
     "FunctionConstraint",
     "GeneralizedLagrangian",
@@ -79,11 +87,13 @@ __all__ = [
     "Rattle",
     "RigidBody",
     "Scalar",
+    "SecondOrderNetwork",
     "Shake",
     "State",
     "adaptive_rollout",
     "as_constraint",
     "dump_constraints",
+    "fit_motions",
     "joining_velocity",
     "load_constraints",
     "momentum",

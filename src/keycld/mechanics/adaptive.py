@@ -6,12 +6,12 @@ import jax
 from jaxtyping import Array, Float
 
 from keycld.mechanics.dynamics import frame_inputs, stack_first
-from keycld.mechanics.lagrangian import ConstrainedLagrangian
+from keycld.mechanics.lagrangian import AbstractLaw
 from keycld.mechanics.state import AbstractDynamics, Motion, Scalar, State
 
 
 def adaptive_rollout(
-    law: ConstrainedLagrangian,
+    law: AbstractLaw,
     state: State,
     u: Float[Array, "l"] | Float[Array, "steps l"],
     dt: Scalar,
@@ -27,7 +27,7 @@ def adaptive_rollout(
     much slower than `Rattle`: for the `paper` preset and for checks.
 
     Args:
-        law: constrained point masses.
+        law: point masses with constraints, or any law without `constants` in its states.
         state: the start, with `constants` among its parameters where there are constraints.
         u: the input, constant [l] or [steps, l], read in reverse for negative dt.
         dt: seconds between frames.
@@ -43,7 +43,7 @@ def adaptive_rollout(
     def field(_, motion, u):
         x = motion.x
         if "constants" in parameters:
-            x = law.project_position(x, parameters["constants"], parameters)
+            x = law.project_position(x, parameters["constants"], parameters)  # pyright: ignore[reportAttributeAccessIssue]
         return Motion(motion.v, law.acceleration(x, motion.v, u, parameters))
 
     def frame(motion, u):
@@ -65,14 +65,14 @@ def adaptive_rollout(
 
 
 class AdaptiveDynamics(AbstractDynamics):
-    """Constrained point masses, integrated by `adaptive_rollout`.
+    """A law, integrated by `adaptive_rollout`.
 
     Attributes:
-        law: the constrained Lagrangian.
+        law: as for `adaptive_rollout`.
         rtol, atol: tolerances of a step.
     """
 
-    law: ConstrainedLagrangian
+    law: AbstractLaw
     rtol: float = eqx.field(static=True, default=1e-6)
     atol: float = eqx.field(static=True, default=1e-6)
 

@@ -9,12 +9,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from keycld._errors import KeycldError
-from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian
+from keycld.mechanics.lagrangian import AbstractLagrangian, ConstrainedLagrangian
 from keycld.mechanics.linear import gram, solve_positive, times
 from keycld.mechanics.networks import Perceptron
 
 
-class GeneralizedLagrangian(AbstractLaw):
+class GeneralizedLagrangian(AbstractLagrangian):
     """L(q, q̇) = ½ q̇ᵀM(q)q̇ − V(q) with M = L Lᵀ, and the external force g(q) u (eqs. 2–5).
 
     The Euler–Lagrange equations (4) give
@@ -97,7 +97,9 @@ def pulled_back(law: ConstrainedLagrangian, mapping: Callable) -> GeneralizedLag
 
 
 def _factor(law: ConstrainedLagrangian, mapping: Callable, q: Float[Array, "m"]) -> Float[Array, "m dim"]:
-    return jax.jacfwd(mapping)(q).T * jnp.sqrt(jnp.repeat(law.masses, 2))[None, :]
+    # M = C Cᵀ, so DFᵀM DF is the square of DFᵀC.
+    factor = jnp.linalg.cholesky(law.mass.matrix)  # pyright: ignore[reportAttributeAccessIssue]
+    return jnp.matmul(jax.jacfwd(mapping)(q).T, jnp.kron(factor, jnp.eye(2)), precision="highest")
 
 
 def _potential(law: ConstrainedLagrangian, mapping: Callable, q: Float[Array, "m"]) -> Float[Array, ""]:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keycld.mechanics.generalized import GeneralizedLagrangian
-from keycld.mechanics.lagrangian import AbstractLaw
+from keycld.mechanics.lagrangian import AbstractLagrangian
 from keycld.mechanics.linear import solve_positive, times
 
 
@@ -37,7 +37,7 @@ class Hamiltonian(eqx.Module):
         return by_p, push - by_q
 
 
-def momentum(law: AbstractLaw, q: Float[Array, "m"], v: Float[Array, "m"]) -> Float[Array, "m"]:
+def momentum(law: AbstractLagrangian, q: Float[Array, "m"], v: Float[Array, "m"]) -> Float[Array, "m"]:
     """Generalised momentum p = ∂L/∂q̇ = M(q) q̇."""
     return jax.grad(law.kinetic_energy, argnums=1)(q, v)
 
@@ -51,7 +51,7 @@ def _energy(law: GeneralizedLagrangian, q: Float[Array, "m"], p: Float[Array, "m
     return 0.5 * jnp.sum(p * solve_positive(law.mass_matrix(q), p)) + law.potential(q)
 
 
-class LegendreLaw(AbstractLaw):
+class LegendreLaw(AbstractLagrangian):
     """The Legendre transform back: the law in (q, q̇) of a Hamiltonian that is quadratic in p.
 
     q̇ = ∂H/∂p is linear in p, so p = (∂²H/∂p²)⁻¹(q̇ − ∂H/∂p(q, 0)), and the acceleration is the rate of ∂H/∂p

@@ -170,8 +170,7 @@ class Leapfrog(AbstractIntegrator):
         h: Scalar,
     ) -> tuple[Motion, Any]:
         """One step."""
-        kick = h / 2 * law.inverse_mass
-        middle = motion.v + kick * combine(memory, u)
+        middle = motion.v + h / 2 * law.over_mass(combine(memory, u))
         x = motion.x + h * middle
         fields = law.fields(x)
-        return Motion(x, middle + kick * combine(fields, u)), fields
+        return Motion(x, middle + h / 2 * law.over_mass(combine(fields, u))), fields

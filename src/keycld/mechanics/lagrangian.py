@@ -15,7 +15,7 @@ from keycld.mechanics.linear import gram, solve_positive, times
 
 
 class AbstractLaw(eqx.Module):
-    """A law of motion of second order with its energies."""
+    """A law of motion of second order."""
 
     @abc.abstractmethod
     def acceleration(
@@ -26,6 +26,10 @@ class AbstractLaw(eqx.Module):
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
         """a(x, v, u)."""
+
+
+class AbstractLagrangian(AbstractLaw):
+    """A law of motion with its energies."""
 
     @abc.abstractmethod
     def kinetic_energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
@@ -40,7 +44,7 @@ class AbstractLaw(eqx.Module):
         return self.kinetic_energy(x, v) + self.potential_energy(x)
 
 
-class ConstrainedLagrangian(AbstractLaw):
+class ConstrainedLagrangian(AbstractLagrangian):
     """Point masses with a potential energy, inputs and holonomic constraints.
 
     L = ½ vᵀMv − V(x), constraints Φ(x) = constant, forces f = −∇V(x) + g(x) u − D v (eqs. 17–20).
@@ -51,7 +55,8 @@ class ConstrainedLagrangian(AbstractLaw):
     M, V, g (and D) are determined only up to one common factor, which cancels here.
 
     Args:
-        mass: a module with `masses` [K], for instance `PointMasses`.
+        mass: a module with `matrix` [K, K] and its `inverse`, for instance `PointMasses`; M is its Kronecker product
+            with I₂.
         potential: V, a callable x [2K] → number.
         input_matrix: g, a callable x [2K] → [2K, l]; None where there is no input.
         constraint: an `AbstractConstraint`, or a plain function `(x, parameters)` → [n]; None for free
@@ -69,7 +74,7 @@ class ConstrainedLagrangian(AbstractLaw):
     damping: Float[Array, "K K"] | None
 
     def __init__(self, mass, potential, input_matrix=None, constraint=None, damping=None):
-        count = mass.masses.shape[0]
+        count = mass.inverse.shape[0]
         self.mass = mass
         self.potential = potential
         self.input_matrix = input_matrix
@@ -82,13 +87,19 @@ class ConstrainedLagrangian(AbstractLaw):
 
     @property
     def masses(self) -> Float[Array, "K"]:
-        """Masses m [K], one a keypoint."""
-        return self.mass.masses  # pyright: ignore[reportAttributeAccessIssue]
+        """Row sums of the mass matrix [K]: the point masses themselves, or a link's mass shared out to its keypoints.
 
-    @property
-    def inverse_mass(self) -> Float[Array, "dim"]:
-        """The diagonal of M⁻¹ [2K]."""
-        return jnp.repeat(1 / self.masses, 2)
+        Their sum is what resists when all keypoints move together.
+        """
+        return jnp.sum(self.mass.matrix, axis=1)  # pyright: ignore[reportAttributeAccessIssue]
+
+    def times_mass(self, v: Float[Array, "*n dim"]) -> Float[Array, "*n dim"]:
+        """M v, for a vector or the rows of a matrix."""
+        return _by_keypoint(self.mass.matrix, v)  # pyright: ignore[reportAttributeAccessIssue]
+
+    def over_mass(self, f: Float[Array, "*n dim"]) -> Float[Array, "*n dim"]:
+        """M⁻¹ f, for a vector or the rows of a matrix."""
+        return _by_keypoint(self.mass.inverse, f)  # pyright: ignore[reportAttributeAccessIssue]
 
     @property
     def count(self) -> int:
@@ -104,7 +115,7 @@ class ConstrainedLagrangian(AbstractLaw):
     def damping_matrix(self) -> Float[Array, "K K"]:
         """L Lᵀ [K, K], zero without dissipation; D is its Kronecker product with I₂."""
         if self.damping is None:
-            return jnp.zeros((self.masses.shape[0],) * 2)
+            return jnp.zeros_like(self.mass.inverse)  # pyright: ignore[reportAttributeAccessIssue]
         lower = jnp.tril(self.damping)
         return gram(lower, lower)
 
@@ -139,7 +150,7 @@ class ConstrainedLagrangian(AbstractLaw):
         f = self.force(x, u)
         if self.dissipative:
             f = f - jnp.matmul(self.damping_matrix, v.reshape(-1, 2), precision="highest").reshape(-1)
-        free = self.inverse_mass * f
+        free = self.over_mass(f)
         jacobian = self.jacobian(x, parameters)
         if jacobian.shape[0] == 0:
             return free
@@ -148,13 +159,13 @@ class ConstrainedLagrangian(AbstractLaw):
             return jax.jvp(lambda z: self.constraint(z, parameters), (y,), (v,))[1]
 
         curvature = jax.jvp(rate, (x,), (v,))[1]
-        pull = self.inverse_mass[None, :] * jacobian
+        pull = self.over_mass(jacobian)
         multipliers = solve_positive(gram(jacobian, pull), times(jacobian, free) + curvature)
         return free - times(pull.T, multipliers)
 
     def kinetic_energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
         """T = ½ vᵀMv; the positions do not matter."""
-        return 0.5 * jnp.sum(jnp.repeat(self.masses, 2) * v * v)
+        return 0.5 * jnp.sum(v * self.times_mass(v))
 
     def potential_energy(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
         """V(x)."""
@@ -176,7 +187,7 @@ class ConstrainedLagrangian(AbstractLaw):
         """A near position with Φ(x) = constants, by damped Gauss–Newton iterations in the mass metric."""
         for _ in range(iterations if constants.shape[0] else 0):
             jacobian = self.jacobian(x, parameters)
-            pull = self.inverse_mass[None, :] * jacobian
+            pull = self.over_mass(jacobian)
             defect = constants - self.constraint(x, parameters)
             x = x + times(pull.T, solve_positive(gram(jacobian, pull), defect))
         return x
@@ -196,8 +207,15 @@ def tangential(
     """Project on ker DΦ in the mass metric: v − M⁻¹DΦᵀ(DΦ M⁻¹ DΦᵀ)⁻¹DΦ v."""
     if jacobian.shape[0] == 0:
         return v
-    pull = law.inverse_mass[None, :] * jacobian
+    pull = law.over_mass(jacobian)
     return v - times(pull.T, solve_positive(gram(jacobian, pull), times(jacobian, v)))
+
+
+def _by_keypoint(matrix: Float[Array, "K K"], vectors: Float[Array, "*n dim"]) -> Float[Array, "*n dim"]:
+    """(matrix ⊗ I₂) applied to vectors or rows, as a sum of products that XLA fuses."""
+    split = vectors.reshape(*vectors.shape[:-1], 1, -1, 2)
+    shape = (1,) * (vectors.ndim - 1) + (*matrix.shape, 1)
+    return jnp.sum(matrix.reshape(shape) * split, axis=-2).reshape(vectors.shape)
 
 
 def _nothing(x: Array, parameters: Any) -> Array:

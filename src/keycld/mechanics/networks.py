@@ -31,9 +31,47 @@ class PointMasses(eqx.Module):
         return cls(jnp.ones((count,)))
 
     @property
-    def masses(self) -> Float[Array, "K"]:
-        """Masses m [K]."""
-        return self.root**2
+    def matrix(self) -> Float[Array, "K K"]:
+        """M = diag(m)."""
+        return jnp.diag(self.root**2)
+
+    @property
+    def inverse(self) -> Float[Array, "K K"]:
+        """M⁻¹ = diag(1/m)."""
+        return jnp.diag(1 / self.root**2)
+
+
+class CoupledMasses(eqx.Module):
+    """A constant mass matrix between keypoints, positive by construction: M⁻¹ = R Rᵀ.
+
+    A rigid link whose mass is spread in any way along the line through keypoints i and j has the kinetic energy
+    ½(Mᵢᵢ|vᵢ|² + 2 Mᵢⱼ vᵢ·vⱼ + Mⱼⱼ|vⱼ|²), because every point of it moves as (1 − s) vᵢ + s vⱼ. Point masses alone
+    (eq. 14) are exact only where each keypoint happens to sit at its link's centre of percussion. Known up to one
+    factor, like every mass.
+
+    Attributes:
+        root: R [K, K], of which the lower triangle counts.
+    """
+
+    root: Float[Array, "K K"]
+
+    @classmethod
+    def ones(cls, count: int) -> "CoupledMasses":
+        """Uncoupled masses of 1."""
+        if count < 1:
+            raise KeycldError(f"a system has at least one keypoint, not {count}.")
+        return cls(jnp.eye(count))
+
+    @property
+    def matrix(self) -> Float[Array, "K K"]:
+        """M."""
+        return jnp.linalg.inv(self.inverse)
+
+    @property
+    def inverse(self) -> Float[Array, "K K"]:
+        """M⁻¹ = R Rᵀ."""
+        lower = jnp.tril(self.root)
+        return jnp.matmul(lower, lower.T, precision="highest")
 
 
 class Perceptron(eqx.Module):

@@ -50,7 +50,9 @@ class Rattle(AbstractIntegrator):
             raise KeycldError(f"RATTLE integrates point masses, not a {type(law).__name__}: use RK4.")
         decay = None
         if law.dissipative:
-            decay = jax.scipy.linalg.expm(-law.damping_matrix / law.masses[:, None] * (h / 2))
+            inverse = law.mass.inverse  # pyright: ignore[reportAttributeAccessIssue]
+            rate = jnp.matmul(inverse, law.damping_matrix, precision="highest")
+            decay = jax.scipy.linalg.expm(-h / 2 * rate)
         return Memory(law.fields(motion.x), law.jacobian(motion.x, parameters), decay)
 
     def advance(
@@ -64,13 +66,12 @@ class Rattle(AbstractIntegrator):
     ) -> tuple[Motion, Memory]:
         """One step."""
         fields, jacobian, decay = memory
-        kick = h / 2 * law.inverse_mass
         v = _damp(law, jacobian, decay, motion.v)
-        start = Motion(motion.x, v + kick * combine(fields, u))
+        start = Motion(motion.x, v + h / 2 * law.over_mass(combine(fields, u)))
         x, middle = constrained_drift(law, start, jacobian, parameters, h, self.iterations)
         fields = law.fields(x)
         jacobian = law.jacobian(x, parameters)
-        v = tangential(law, jacobian, middle + kick * combine(fields, u))
+        v = tangential(law, jacobian, middle + h / 2 * law.over_mass(combine(fields, u)))
         return Motion(x, _damp(law, jacobian, decay, v)), Memory(fields, jacobian, decay)
 
 

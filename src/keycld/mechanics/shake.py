@@ -43,7 +43,7 @@ def constrained_drift(
             "SHAKE and RATTLE hold Φ at the constants of the state, but its parameters have no 'constants': "
             "add law.constraint(x, parameters) of the start."
         )
-    pull = law.inverse_mass[None, :] * jacobian
+    pull = law.over_mass(jacobian)
     value = law.constraint(x, parameters)
     offset = parameters["constants"] - value
     share, multipliers, newton = jax.lax.stop_gradient(
@@ -66,7 +66,7 @@ def _multipliers(law, x, v, jacobian, pull, offset, parameters, h, iterations):
     straight = factor(gram(jacobian, pull))
     linear = substitute(straight, offset / h - times(jacobian, v))
     bent = law.jacobian(x + h * (v + times(pull.T, linear)), parameters) - jacobian
-    turned = jnp.sum(bent * bent * law.inverse_mass[None, :], axis=1)
+    turned = jnp.sum(bent * law.over_mass(bent), axis=1)
     size = jnp.sum(jacobian * pull, axis=1)
     over = (turned > _LARGEST_TURN**2 * size) & (size > 0)
     share = jnp.min(jnp.where(over, _LARGEST_TURN * jnp.sqrt(size / jnp.where(over, turned, 1.0)), 1.0))
@@ -127,8 +127,7 @@ class Shake(AbstractIntegrator):
     ) -> tuple[Motion, Any]:
         """One step."""
         fields, jacobian = memory
-        kick = h / 2 * law.inverse_mass
-        start = Motion(motion.x, motion.v + kick * combine(fields, u))
+        start = Motion(motion.x, motion.v + h / 2 * law.over_mass(combine(fields, u)))
         x, middle = constrained_drift(law, start, jacobian, parameters, h, self.iterations)
         fields = law.fields(x)
-        return Motion(x, middle + kick * combine(fields, u)), (fields, law.jacobian(x, parameters))
+        return Motion(x, middle + h / 2 * law.over_mass(combine(fields, u))), (fields, law.jacobian(x, parameters))

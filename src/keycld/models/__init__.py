@@ -8,14 +8,24 @@ from keycld.models.losses import CollocationLoss as CollocationLoss
 from keycld.models.losses import PredictionLoss as PredictionLoss
 from keycld.models.losses import TrackLoss as TrackLoss
 from keycld.models.losses import VisionLoss as VisionLoss
+from keycld.models.short_rollout_loss import ShortRolloutLoss as ShortRolloutLoss
+from keycld.models.starts import AbstractStart as AbstractStart
+from keycld.models.starts import CentralStart as CentralStart
+from keycld.models.starts import DifferenceStart as DifferenceStart
+from keycld.models.starts import FittedStart as FittedStart
 
 __all__ = [
     "AbstractLoss",
     "AbstractModel",
+    "AbstractStart",
+    "CentralStart",
     "CollocationLoss",
+    "DifferenceStart",
+    "FittedStart",
     "KeyCLD",
     "Prediction",
     "PredictionLoss",
+    "ShortRolloutLoss",
     "TrackLoss",
     "VisionLoss",
 ]

@@ -22,14 +22,17 @@ class Prediction(NamedTuple):
 
 
 class AbstractModel(eqx.Module):
-    """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches.
+    """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches."""
 
-    - `context`: the least number of consecutive frames that `infer` needs.
-    - `reversible`: whether `rollout` accepts a negative `dt`.
-    """
+    @property
+    @abstractmethod
+    def context(self) -> int:
+        """The least number of consecutive frames that `infer` needs."""
 
-    context: eqx.AbstractClassVar[int]
-    reversible: eqx.AbstractClassVar[bool]
+    @property
+    @abstractmethod
+    def reversible(self) -> bool:
+        """Whether `rollout` accepts a negative `dt`."""
 
     @abstractmethod
     def anchor(self, n: int) -> int:
@@ -81,11 +84,17 @@ class AbstractModel(eqx.Module):
             bad = [k for k, frame in enumerate(frames) if not bool(jnp.all(jnp.isfinite(frame)))]
             if bad:
                 raise KeycldError(f"given frame {bad[0]} holds NaN or infinity; give finite values in [0, 1].")
-        anchor = self.anchor(frames.shape[0])
-        state = self.infer(frames, dt, u)
+        states = self.unroll(self.infer(frames, dt, u), self.anchor(frames.shape[0]), dt, u, length)
+        return Prediction(jax.vmap(self.render)(states), states)
+
+    def unroll(self, state: State, anchor: int, dt: Float[Array, ""], u: Float[Array, "..."], length: int) -> State:
+        """The states of frames 0 … `length` − 1, stacked, from the one at frame `anchor`.
+
+        `u` is `[l]`, constant, or `[≥ length − 1, l]` from frame 0 on.
+        """
         constant = u.ndim == 1
         states = self.rollout(state, dt, u if constant else u[anchor : length - 1], length - 1 - anchor)
         if anchor > 0:
             back = self.rollout(state, -dt, u if constant else u[:anchor], anchor)
             states = jax.tree.map(lambda past, future: jnp.concatenate([past[:0:-1], future]), back, states)
-        return Prediction(jax.vmap(self.render)(states), states)
+        return states

@@ -31,7 +31,7 @@ class AbstractLoss(eqx.Module):
 class VisionLoss(AbstractLoss):
     """Learns to see, from single frames: the picture must pass through the keypoints.
 
-    reconstruction + `heat_map` · focus + `constraint` · Σ Var Φ(x).
+    reconstruction + `heat_map` · focus + `constraint` · unevenness of Φ.
 
     - `heat_map`: weight of the cross-entropy between each heat map and a Gaussian of width `sigma` at its own
       (stop-gradient) keypoint, which keeps the maps single-peaked (the 2024 version's loss).
@@ -55,9 +55,9 @@ class VisionLoss(AbstractLoss):
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(frames.shape[0], -1)
         terms = {
-            "reconstruction": _squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
-            "heat_map": _focus(model, seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
-            "constraint": jnp.sum(jnp.var(jax.vmap(model.law.constraint)(x), axis=0)),
+            "reconstruction": squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
+            "heat_map": _focus(seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
+            "constraint": _unevenness(model, x),
         }
         total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + self.constraint * terms["constraint"]
         return total, terms
@@ -87,7 +87,7 @@ class TrackLoss(AbstractLoss):
 class PredictionLoss(AbstractLoss):
     """Sees and moves together: everything is drawn from the motion that starts at the first two frames.
 
-    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen keypoints|² + `constraint` · Σ Var Φ
+    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² + `constraint` · unevenness of Φ
     + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint sets start a long motion, which
     is what decides a prediction.
 
@@ -112,12 +112,11 @@ class PredictionLoss(AbstractLoss):
         x = seen.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
         drawn = jax.vmap(model.renderer)(rolled.reshape(frames.shape[0], -1, 2))
-        values = jax.vmap(model.law.constraint)(x.reshape(batch * count, -1))
         terms = {
-            "reconstruction": _squared_error(drawn, frames),
+            "reconstruction": squared_error(drawn, frames),
             "track": jnp.mean(jnp.sum(_huber(rolled - x, self.scale), axis=-1)),
-            "constraint": jnp.sum(jnp.var(values, axis=0)),
-            "heat_map": _focus(model, seen.heat_maps, seen.keypoints, (height, width), self.sigma),
+            "constraint": _unevenness(model, x.reshape(batch * count, -1)),
+            "heat_map": _focus(seen.heat_maps, seen.keypoints, (height, width), self.sigma),
         }
         total = (
             terms["reconstruction"]
@@ -157,24 +156,35 @@ class CollocationLoss(AbstractLoss):
 
         defect = jax.vmap(one)(keypoints.reshape(batch, count, -1), clips.u, clips.dt)
         terms = {
-            "reconstruction": _squared_error(jax.vmap(model.renderer)(keypoints), frames),
+            "reconstruction": squared_error(jax.vmap(model.renderer)(keypoints), frames),
             "dynamics": jnp.mean(jnp.sum(defect**2, axis=-1)),
         }
         return terms["reconstruction"] + self.weight * terms["dynamics"], terms
 
 
 def _rolled_out(model: KeyCLD, seen: Array, clips: Clip) -> Array:
-    """Positions `[batch, F, 2K]` at the clips' frames, of motions that start at the first two sightings."""
+    """Positions `[batch, F, 2K]` at the clips' frames, of motions that start at the first sightings."""
 
     def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
-        start = model.start(x[0], x[1], dt, u if u.ndim == 1 else u[0])
-        inputs = u if u.ndim == 1 else u[: clips.span - 1]
-        return model.rollout(start, dt, inputs, clips.span - 1).coordinates.x[index]
+        start = model.start(model.dynamics, x[: model.context], dt, u)
+        return model.unroll(start, model.start.anchor, dt, u, clips.span).coordinates.x[index]
 
     return jax.vmap(one)(seen, clips.index, clips.u, clips.dt)
 
 
-def _squared_error(drawn: Array, frames: Array) -> Array:
+def _unevenness(model: KeyCLD, x: Array) -> Array:
+    """How far a batch of keypoints is from one common value of Φ: Σᵢ mean (Φᵢ − mean Φᵢ)² / |DΦᵢ|², a squared length.
+
+    Without the division keypoints would gain by coming together: the variance of a squared distance d² is 4d² times
+    that of d.
+    """
+    values = jax.vmap(model.constraint)(x)
+    slopes = jnp.sum(jax.vmap(jax.jacfwd(model.constraint))(x) ** 2, axis=-1)
+    return jnp.sum(jnp.mean((values - jnp.mean(values, axis=0)[None, :]) ** 2 / (slopes + 1e-6), axis=0))
+
+
+def squared_error(drawn: Float[Array, "B H W 3"], frames: Float[Array, "B H W 3"]) -> Float[Array, ""]:
+    """Squares summed over pixels and channels, mean over frames."""
     return jnp.mean(jnp.sum((drawn - frames) ** 2, axis=(1, 2, 3)))
 
 
@@ -182,9 +192,11 @@ def _huber(error: Array, scale: float) -> Array:
     return 2 * scale**2 * (jnp.sqrt(1 + (error / scale) ** 2) - 1)
 
 
-def _focus(model: KeyCLD, maps: Array, keypoints: Array, size: tuple[int, int], sigma: float) -> Array:
+def _focus(maps: Array | None, keypoints: Array, size: tuple[int, int], sigma: float) -> Array:
     """Cross-entropy between each heat map and a Gaussian at its own keypoint, minus the Gaussian's entropy."""
-    grid = image_grid(*size, model.estimator.stride)
+    if maps is None:
+        return jnp.zeros(())
+    grid = image_grid(*size, size[0] // maps.shape[-2])
     blobs = jax.vmap(lambda x: gaussian_maps(x, grid, sigma))(jax.lax.stop_gradient(keypoints))
     target = blobs.transpose(0, 3, 1, 2)
     target = target / (jnp.sum(target, axis=(2, 3), keepdims=True) + 1e-12)

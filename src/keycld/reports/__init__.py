@@ -1,5 +1,7 @@
-"""A run's figures and its page: reads stored results, needs neither the model nor its data."""
+"""A run's or a suite's figures and its page: reads stored results, needs neither the model nor its data."""
 
+from keycld.reports.control_figures import write_control_media as write_control_media
 from keycld.reports.report import write_report as write_report
+from keycld.reports.suite_report import write_suite_report as write_suite_report
 
-__all__ = ["write_report"]
+__all__ = ["write_control_media", "write_report", "write_suite_report"]

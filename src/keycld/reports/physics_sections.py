@@ -1,8 +1,21 @@
 """The parts of the page on what was learned: keypoints, energies, constraints, masses."""
 
-from keycld.drawing import save_figure
-from keycld.reports import figures, html
+from keycld.drawing import save_figure, save_image
+from keycld.reports import figures, html, movies
 from keycld.reports.run import Run
+
+
+def observation(run: Run) -> str:
+    """From a picture to keypoints and back (Fig. 1)."""
+    result = run.headline
+    if result is None or "observed_keypoints" not in result.arrays:
+        return html.missing("observation", "What the model sees", "a model without keypoints")
+    note = (
+        "A given frame of the first recordings, what the observer makes of it, and the picture that the renderer draws "
+        "from the keypoints alone: nothing else passes. Compare Fig. 1 of the paper."
+    )
+    drawn = html.figure(movies.observation_sheet(run.folder, result), "One recording a row.")
+    return html.section("observation", "What the model sees", html.paragraph(note) + drawn)
 
 
 def keypoints(run: Run) -> str:
@@ -63,7 +76,9 @@ def potential(run: Run) -> str:
         varied = " and ".join(html.text(each) for each in vary.split(","))
         drawn = html.chart(figure, f"potential-{name}")
         if "," in vary:
-            pictures = html.image(figures.grid_pictures(run.sweeps, name), f"Pictures of the grid of {varied}")
+            grid = figures.grid_pictures(run.sweeps, name)
+            save_image(run.folder / "media" / f"potential-{name}-pictures.png", grid)
+            pictures = html.image(grid, f"Pictures of the grid of {varied}")
             wide.append(html.figure(drawn, f"V over every combination of {varied}."))
             wide.append(html.figure(pictures, "What the encoder saw there, every other row and column."))
         else:

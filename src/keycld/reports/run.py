@@ -22,6 +22,7 @@ class Run:
         metrics: the lines of `metrics.jsonl`, [] if absent.
         evaluations: by name, those of `evaluation/*.json` that score a protocol; shortest horizon first.
         sweeps: potential energies along paths, None if absent.
+        controls: by name, the controlled flights.
     """
 
     folder: Path
@@ -30,6 +31,7 @@ class Run:
     metrics: list[dict[str, Any]]
     evaluations: dict[str, Evaluation]
     sweeps: dict[str, np.ndarray] | None
+    controls: dict[str, Evaluation]
 
     @property
     def headline(self) -> Evaluation | None:
@@ -67,6 +69,7 @@ def read_run(folder: str | Path) -> Run:
         metrics=_lines(folder / "metrics.jsonl"),
         evaluations=dict(sorted(scored.items(), key=lambda item: item[1].scores["protocol"]["horizon"])),
         sweeps=sweeps if sweeps else None,
+        controls={name: result for name, result in results.items() if "law" in result.scores},
     )
 
 

@@ -1,9 +1,10 @@
 """What every system offers: how it moves, what it looks like, and which keypoints suit it."""
 
 import abc
+import dataclasses
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -23,6 +24,8 @@ class Conditions:
             positions and velocities random; `"released"`, any position, exactly zero velocity.
         input_limit: u is drawn uniformly from ± this.
         clip: whether the motors limit u to the system's `input_range`.
+        input: `"constant"` in a run, or a `"random-walk"`: held for a frame, then moved by a normal number of deviation
+            0.15 `input_limit` and reflected at ± `input_limit`. Inputs that are zero stay zero.
 
     Good values: the defaults are those of arXiv v1 (2022); the journal version (2024) has `start="random"`,
     `input_limit=2`, `clip=False`.
@@ -32,6 +35,14 @@ class Conditions:
     start: str = "rest"
     input_limit: float = 3.0
     clip: bool = True
+    input: str = "constant"
+
+    def described(self) -> dict[str, Any]:
+        """The fields by name, for records; without `input` where it is constant, as before there was a choice."""
+        fields = dataclasses.asdict(self)
+        if self.input == "constant":
+            del fields["input"]
+        return fields
 
 
 class Run(NamedTuple):
@@ -39,7 +50,7 @@ class Run(NamedTuple):
 
     Attributes:
         time: [T], seconds.
-        input: [l], constant in the run, or [T, l].
+        input: [l], constant in the run, or [T, l], held from frame k to k + 1.
         state: [T, d], in the system's units.
         state_derivative: [T, d].
     """
@@ -80,16 +91,13 @@ class AbstractSystem(abc.ABC):
     """Something that moves and can be watched.
 
     Attributes:
-        name: in lower case, one word.
+        name: in lower case; a slash separates a family from its member.
         dt: seconds between frames.
         size: pixels of a side.
-        state_names: one a component of the state, all positions first, then all velocities.
+        state_names: one a component of the state, all positions first, then all velocities or momenta.
         units: of these, in the same order.
         input_names: one an input.
-        input_range: the largest |u| of its motors where they are limited.
-        keypoints: names of the points to watch.
-        control_modes: those of `Conditions.control` that it knows.
-        starts: those of `Conditions.start` that it knows.
+        keypoints: names of the points to watch; none where the system suggests none.
     """
 
     name: ClassVar[str]
@@ -98,10 +106,7 @@ class AbstractSystem(abc.ABC):
     state_names: ClassVar[tuple[str, ...]]
     units: ClassVar[tuple[str, ...]]
     input_names: ClassVar[tuple[str, ...]]
-    input_range: ClassVar[float]
     keypoints: ClassVar[tuple[str, ...]]
-    control_modes: ClassVar[tuple[str, ...]]
-    starts: ClassVar[tuple[str, ...]]
 
     @property
     @abc.abstractmethod
@@ -114,6 +119,20 @@ class AbstractSystem(abc.ABC):
 
         x right, y up, ±1 at the centres of the outermost pixels. For evaluation only, never for training.
         """
+
+
+class AbstractMechanism(AbstractSystem):
+    """A system with motors, simulated one run at a time and drawn by a renderer of its own.
+
+    Attributes:
+        input_range: the largest |u| of its motors where they are limited.
+        control_modes: those of `Conditions.control` that it knows.
+        starts: those of `Conditions.start` that it knows.
+    """
+
+    input_range: ClassVar[float]
+    control_modes: ClassVar[tuple[str, ...]]
+    starts: ClassVar[tuple[str, ...]]
 
     @abc.abstractmethod
     def record(self, random: np.random.RandomState, frames: int, conditions: Conditions) -> Run:
@@ -135,5 +154,7 @@ class AbstractSystem(abc.ABC):
             )
         if conditions.start not in self.starts:
             raise KeycldError(f"{self.name} has no start '{conditions.start}': choose from {', '.join(self.starts)}.")
+        if conditions.input not in ("constant", "random-walk"):
+            raise KeycldError(f"an input is constant or a random-walk, not '{conditions.input}'.")
         if not (np.isfinite(conditions.input_limit) and conditions.input_limit >= 0):
             raise KeycldError(f"input_limit must be a number of at least 0, not {conditions.input_limit}.")

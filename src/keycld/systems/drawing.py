@@ -1,14 +1,24 @@
 """Pictures of states, from any process."""
 
 import atexit
-from typing import NamedTuple
+from contextlib import AbstractContextManager
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from keycld.systems.base import AbstractSystem, Drawer
+from keycld.systems.base import Drawer
 from keycld.systems.processes import Task, run_in_processes
 
-_OPEN: dict[type[AbstractSystem], Drawer] = {}
+_OPEN: dict[type, Drawer] = {}
+
+
+@runtime_checkable
+class Drawable(Protocol):
+    """A system that brings its own renderer."""
+
+    def drawer(self) -> AbstractContextManager[Drawer]:
+        """Draws its states."""
+        ...
 
 
 class Pictures(NamedTuple):
@@ -18,7 +28,7 @@ class Pictures(NamedTuple):
     renderer: str
 
 
-def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
+def draw_in_worker(system: Drawable, states: np.ndarray) -> Pictures:
     """Pictures of `states [n, d]`; for worker processes, which keep the renderer and draw one system only.
 
     Making a renderer takes a third of a second, and those of several models in one process gave corrupted
@@ -26,7 +36,7 @@ def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
     """
     if type(system) not in _OPEN:
         if _OPEN:
-            raise RuntimeError(f"this process draws {next(iter(_OPEN)).name} and cannot draw {system.name} as well")
+            raise RuntimeError(f"this process draws {next(iter(_OPEN))} and cannot draw {type(system)} as well")
         drawer = system.drawer()
         _OPEN[type(system)] = drawer.__enter__()
         atexit.register(drawer.__exit__, None, None, None)
@@ -34,7 +44,7 @@ def draw_in_worker(system: AbstractSystem, states: np.ndarray) -> Pictures:
     return Pictures(np.stack([drawer.draw(state) for state in states]), drawer.description)
 
 
-def draw(system: AbstractSystem, states: np.ndarray) -> Pictures:
+def draw(system: Drawable, states: np.ndarray) -> Pictures:
     """Pictures of `states [n, d]`, drawn in a process of its own.
 
     Raises:
@@ -50,6 +60,6 @@ def renderer_name() -> str:
     Raises:
         KeycldError: MuJoCo is missing, or no GL context can be made.
     """
-    from keycld.systems.registry import get
+    from keycld.systems.catalogue.pendulum import Pendulum
 
-    return draw(get("pendulum"), np.zeros((1, 2))).renderer
+    return draw(Pendulum(), np.zeros((1, 2))).renderer

@@ -13,11 +13,13 @@ from typing import Any, ClassVar
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.systems.base import AbstractSystem, Conditions, Drawer, Run
+from keycld.systems.base import AbstractMechanism, Conditions, Drawer, Run
 
 # Half of MuJoCo's default vertical field of view, 45 degrees.
 _HALF_VIEW = math.radians(22.5)
 _ZERO_INPUT_PROBABILITY = 0.2
+# Of a random walk, by frame: it crosses its range in about 50 frames.
+_WALK = 0.15
 
 
 def no_gl(error: Exception) -> KeycldError:
@@ -65,7 +67,7 @@ def _simulated_model(name: str, clip: bool) -> Any:
     return model
 
 
-class AbstractMujocoSystem(AbstractSystem):
+class AbstractMujocoSystem(AbstractMechanism):
     """A system whose state is MuJoCo's (qpos, qvel), seen by a camera that looks along +y with z up.
 
     Attributes:
@@ -119,11 +121,16 @@ class AbstractMujocoSystem(AbstractSystem):
         return position, velocity
 
     def record(self, random: np.random.RandomState, frames: int, conditions: Conditions) -> Run:
-        """Draws, in this order: the input, one number that sets it to zero below 0.2, the start."""
+        """Draws, in this order: the input, one number that sets it to zero below 0.2, the start, a walk's steps."""
         self.check(conditions)
         u = self._input(random, conditions)
-        position, velocity = self._start(random, conditions)
-        return self.simulate(np.concatenate([position, velocity]), u, frames, clip=conditions.clip)
+        state = np.concatenate(self._start(random, conditions))
+        if conditions.input == "constant":
+            return self.simulate(state, u, frames, clip=conditions.clip)
+        # Frame 0 is seen after the first step, so the input from frame k to k + 1 is the one of step k + 2.
+        walk = random_walk(random, u, frames + 1, conditions.input_limit)
+        run = self.simulate(state, walk[:-1], frames, clip=conditions.clip)
+        return run._replace(input=walk[1:])
 
     def simulate(self, state: np.ndarray, u: np.ndarray, frames: int, *, clip: bool = True) -> Run:
         """The motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame.
@@ -147,6 +154,13 @@ class AbstractMujocoSystem(AbstractSystem):
             derivatives[k] = np.concatenate([probe.qvel, probe.qacc])
         return Run(time, np.array(u, dtype=float), states, derivatives)
 
+    @abc.abstractmethod
+    def tilts(self, state: np.ndarray) -> np.ndarray:
+        """How far each link leans from upright `[..., links]`, radians in ±π, for states `[..., d]`.
+
+        Angles are absolute: a second link's is not counted from the first. The state of zeros stands upright.
+        """
+
     def energies(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Kinetic and potential energy `[T]`, joules, of states `[T, d]`; the zero of heights is the floor's."""
         mujoco = import_mujoco()
@@ -165,6 +179,21 @@ class AbstractMujocoSystem(AbstractSystem):
         from keycld.systems.rendering import MujocoDrawer
 
         return MujocoDrawer(self.name, self.size)
+
+
+def random_walk(random: np.random.RandomState, start: np.ndarray, steps: int, limit: float) -> np.ndarray:
+    """Inputs `[steps, l]` that wander within ± `limit` from `start [l]`; those that start at zero stay there."""
+    walk = start + np.concatenate(
+        [np.zeros((1, len(start))), np.cumsum(_WALK * limit * random.randn(steps - 1, len(start)), axis=0)]
+    )
+    # Reflected at the limits: a triangle wave of the free walk.
+    folded = limit - np.abs((walk + limit) % max(4 * limit, 1e-12) - 2 * limit)
+    return np.where(start == 0.0, 0.0, folded)
+
+
+def wrapped(angles: np.ndarray) -> np.ndarray:
+    """The same angles in ±π, radians."""
+    return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 def uniform_angles(random: np.random.RandomState, count: int) -> np.ndarray:

@@ -137,9 +137,7 @@ def run_in_processes(
     Raises:
         KeycldError: `workers` is below 1, or a task's second try is lost too. Other errors are the task's own.
     """
-    if workers is not None and workers < 1:
-        raise KeycldError(f"workers must be at least 1, not {workers}.")
-    count = max(1, min(MAX_WORKERS, workers or cores(), len(tasks)))
+    count = min(_worker_count(workers), max(1, len(tasks)))
     crew = _Crew(time_out)
     pool = ThreadPoolExecutor(count)
     futures = {pool.submit(crew.run, task): index for index, task in enumerate(tasks)}
@@ -150,3 +148,35 @@ def run_in_processes(
         crew.dismiss()
         pool.shutdown(cancel_futures=True)
         crew.dismiss()  # a worker may have started while the others ended
+
+
+class Workers:
+    """Processes that stay for many short rounds of tasks, as a control loop needs them; close them at the end.
+
+    Args:
+        workers: processes, at most four; by default one a core.
+        time_out: seconds for one task.
+
+    Raises:
+        KeycldError: `workers` is below 1.
+    """
+
+    def __init__(self, workers: int | None = None, time_out: float = TIME_OUT):
+        self.count = _worker_count(workers)
+        self._crew = _Crew(time_out)
+        self._pool = ThreadPoolExecutor(self.count)
+
+    def run(self, tasks: Sequence[Task]) -> list[Any]:
+        """The results in the order of the tasks; raises what a task raised."""
+        return list(self._pool.map(self._crew.run, tasks))
+
+    def close(self) -> None:
+        """End the processes."""
+        self._crew.dismiss()
+        self._pool.shutdown(cancel_futures=True)
+
+
+def _worker_count(workers: int | None) -> int:
+    if workers is not None and workers < 1:
+        raise KeycldError(f"workers must be at least 1, not {workers}.")
+    return min(MAX_WORKERS, workers or cores())

@@ -28,10 +28,10 @@ def _load_catalogue() -> None:
         importlib.import_module(f"{package.__name__}.{module.name}")
 
 
-def names() -> tuple[str, ...]:
-    """Names of all systems, in alphabetical order."""
+def names(kind: type[AbstractSystem] = AbstractSystem) -> tuple[str, ...]:
+    """Names of all systems, or of one kind's, in alphabetical order."""
     _load_catalogue()
-    return tuple(sorted(_SYSTEMS))
+    return tuple(sorted(name for name, system in _SYSTEMS.items() if isinstance(system, kind)))
 
 
 def get(name: str) -> AbstractSystem:

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import optax
 from jaxtyping import Array
+from optax import contrib
 
 from keycld.data import AbstractSampler, Resident
 
@@ -80,6 +81,26 @@ def warmup_cosine(rate: float, steps: int, *, warmup: float = 0.05, final: float
     """Linear rise over the first `warmup` part of the steps, then half a cosine down to `final · rate`."""
     rise = max(1, round(warmup * steps))
     return optax.warmup_cosine_decay_schedule(0.0, rate, rise, max(steps, rise + 1), final * rate)
+
+
+def muon(schedule: optax.Schedule) -> optax.GradientTransformation:
+    """Muon for the networks' kernels, Adam for everything else.
+
+    The momentum of a kernel, as a matrix from its inputs to its outputs, is replaced by the nearest orthogonal
+    matrix, with the root mean square that an update of Adam has. Measured on our U-Nets: the reconstruction error
+    that Adam reaches after 600 steps after about 200, at the same cost a step. Good peak rates: 5e-3 to 1e-2.
+    """
+
+    def kernels(parameters: Any) -> Any:
+        def of(path: Any, leaf: Any) -> contrib.MuonDimensionNumbers | None:
+            if leaf.ndim == 4:  # a convolution: rows, columns and inputs → outputs
+                return contrib.MuonDimensionNumbers((0, 1, 2), (3,))
+            network = jax.tree_util.keystr(path, simple=True, separator=".").split(".")[0] != "dynamics"
+            return contrib.MuonDimensionNumbers((1,), (0,)) if network and leaf.ndim == 2 else None
+
+        return jax.tree_util.tree_map_with_path(of, parameters)
+
+    return contrib.muon(schedule, muon_weight_dimension_numbers=kernels, consistent_rms=0.2)
 
 
 def forgetful(optimiser: Callable[[optax.Schedule], optax.GradientTransformation]):

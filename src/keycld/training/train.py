@@ -23,7 +23,7 @@ from keycld.mechanics import (
 from keycld.models import AbstractModel
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position
 from keycld.training.loop import train_stages
-from keycld.training.presets import AbstractRecipe, Scene, recipe_class
+from keycld.training.presets import MODELS, AbstractRecipe, Scene, recipe_class
 from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.trackers import make_tracker
 
@@ -32,6 +32,7 @@ def train(
     data: str | Path,
     out: str | Path,
     *,
+    model: str = "keycld",
     preset: str = "fast",
     settings: dict[str, Any] | None = None,
     seed: int = 0,
@@ -47,7 +48,8 @@ def train(
 
     - `data`: name of a system whose data set is under `data/`, or the folder of any data set.
     - `out`: run folder.
-    - `preset`: `"fast"` (ours) or `"paper"` (arXiv v1 as published).
+    - `model`: `"keycld"`, or an ablation of it: `"keycld-nc"`, `"node2"`, `"fc"`.
+    - `preset`: `"fast"` (ours), `"paper"` (arXiv v1 as published) or `"journal"` (the 2024 version).
     - `settings`: fields of the preset's recipe to change, by name.
     - `seed`: of weights and data order. Same seed, machine and settings: same bits.
     - `constraints`: instead of those beside the data or of the system.
@@ -58,6 +60,8 @@ def train(
 
     **Raises:** KeycldError for anything a user can mend, before the first step where possible.
     """
+    if model not in MODELS:
+        raise unknown("model", model, MODELS)
     folder = Path(out)
     dataset = open_data(data)
     constraint = constraints if constraints is not None else dataset.constraints
@@ -69,7 +73,7 @@ def train(
     config = RunConfig(
         data=str(dataset.folder),
         system=dataset.system,
-        model="keycld",
+        model=model,
         preset=preset,
         settings=recipe.settings(),
         seed=seed,
@@ -80,7 +84,7 @@ def train(
         checkpoint_seconds=checkpoint_seconds,
         command=shlex.join(sys.argv),
     )
-    stages = recipe.stages(scene)
+    stages = recipe.stages(scene, model)
     resident = Resident(jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32))
     for stage in stages:
         stage.sampler.check(resident)
@@ -88,7 +92,7 @@ def train(
     tracker = make_tracker(track, folder, dataclasses.asdict(config))
     try:
         return train_stages(
-            recipe.model(scene, jax.random.key(seed)),
+            recipe.model(scene, jax.random.key(seed), model),
             stages,
             resident,
             folder,
@@ -121,10 +125,15 @@ def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[Abstr
         constraint = load_constraints(folder / "constraints.toml")
     elif constraint is None:
         raise KeycldError(f"{folder} was trained with a Python function as constraint; pass that function again.")
-    scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
-    model = make_recipe(config.preset, config.settings).model(scene, jax.random.key(0))
+    model = blank_model(config, constraint)
     # The model comes first among the leaves, so it can be read without the optimiser's state behind it.
     return load_leaves(checkpoint, (model,))[0], config
+
+
+def blank_model(config: RunConfig, constraint: Callable) -> AbstractModel:
+    """A model of a run's shape with fresh weights; needs no data."""
+    scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
+    return make_recipe(config.preset, config.settings).model(scene, jax.random.key(0), config.model)
 
 
 def finished(run: str | Path) -> bool:

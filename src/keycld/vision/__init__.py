@@ -3,16 +3,24 @@
 from keycld.vision.coordinates import gaussian_maps as gaussian_maps
 from keycld.vision.coordinates import image_grid as image_grid
 from keycld.vision.coordinates import spatial_softmax as spatial_softmax
+from keycld.vision.fully_connected import DenseEstimator as DenseEstimator
+from keycld.vision.fully_connected import DenseRenderer as DenseRenderer
+from keycld.vision.keypoint_estimator import AbstractEstimator as AbstractEstimator
 from keycld.vision.keypoint_estimator import KeypointEstimator as KeypointEstimator
 from keycld.vision.keypoint_estimator import Observation as Observation
 from keycld.vision.keypoint_estimator import Standardise as Standardise
+from keycld.vision.renderer import AbstractRenderer as AbstractRenderer
 from keycld.vision.renderer import Renderer as Renderer
 from keycld.vision.unet import AbstractUNet as AbstractUNet
 from keycld.vision.unet import LightUNet as LightUNet
 from keycld.vision.unet import PaperUNet as PaperUNet
 
 __all__ = [
+    "AbstractEstimator",
+    "AbstractRenderer",
     "AbstractUNet",
+    "DenseEstimator",
+    "DenseRenderer",
     "KeypointEstimator",
     "LightUNet",
     "Observation",

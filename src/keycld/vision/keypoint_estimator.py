@@ -1,5 +1,6 @@
 """From a frame to keypoints: heat maps of a U-Net through a spatial softmax."""
 
+from abc import abstractmethod
 from typing import NamedTuple
 
 import equinox as eqx
@@ -15,11 +16,12 @@ class Observation(NamedTuple):
     """What an observer sees in one frame.
 
     - `keypoints`: positions in image-plane units `[K, 2]`.
-    - `heat_maps`: probability of each keypoint over the image `[K, rows, columns]`; each map sums to one.
+    - `heat_maps`: probability of each keypoint over the image `[K, rows, columns]`; each map sums to one. None for
+      an observer without maps.
     """
 
     keypoints: Float[Array, "K 2"]
-    heat_maps: Float[Array, "K rows columns"]
+    heat_maps: Float[Array, "K rows columns"] | None
 
 
 class Standardise(eqx.Module):
@@ -37,7 +39,15 @@ class Standardise(eqx.Module):
         return (frame - mean) / deviation
 
 
-class KeypointEstimator(eqx.Module):
+class AbstractEstimator(eqx.Module):
+    """From one frame to keypoints. Estimators `standardise` it by statistics of the data, or take it as it is."""
+
+    @abstractmethod
+    def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
+        """Finds the keypoints of one frame with values in [0, 1]."""
+
+
+class KeypointEstimator(AbstractEstimator):
     """The observer of the paper (section 3, appendix A.4): one heat map a keypoint, then eq. (8).
 
     - `network`: a U-Net from `3 · stride²` channels to K logit maps.
@@ -52,8 +62,16 @@ class KeypointEstimator(eqx.Module):
 
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
         """Finds the keypoints of one frame with values in [0, 1]."""
-        height, width, _ = frame.shape
+        return self.locate(self.logits(frame))
+
+    def logits(self, frame: Float[Array, "H W 3"]) -> Float[Array, "rows columns K"]:
+        """The network's maps before the softmax."""
         x = frame if self.standardise is None else self.standardise(frame)
-        logits = self.network(space_to_depth(x, self.stride))
-        keypoints, maps = spatial_softmax(logits, image_grid(height, width, self.stride))
+        return self.network(space_to_depth(x, self.stride))
+
+    def locate(self, logits: Float[Array, "rows columns K"]) -> Observation:
+        """Softmax and expectation, eq. (8)."""
+        rows, columns, _ = logits.shape
+        grid = image_grid(rows * self.stride, columns * self.stride, self.stride)
+        keypoints, maps = spatial_softmax(logits, grid)
         return Observation(keypoints, maps.transpose(2, 0, 1))

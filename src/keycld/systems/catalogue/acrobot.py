@@ -6,7 +6,7 @@ import numpy as np
 
 from keycld.systems import sweeping
 from keycld.systems.base import SweepPath
-from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
+from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles, wrapped
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
@@ -50,6 +50,10 @@ class Acrobot(AbstractMujocoSystem):
         elbow = LENGTH * np.stack([np.sin(shoulder), np.cos(shoulder)], axis=-1) + np.array([0.0, SHOULDER_HEIGHT])
         tip = elbow + LENGTH * np.stack([np.sin(lower), np.cos(lower)], axis=-1)
         return self.to_image_plane(np.stack([elbow, tip], axis=-2))
+
+    def tilts(self, state: np.ndarray) -> np.ndarray:
+        """The upper arm's angle, and the lower arm's, which is the sum of both joints'."""
+        return wrapped(np.stack([state[..., 0], state[..., 0] + state[..., 1]], axis=-1))
 
     def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         """Any two angles, no velocity."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from keycld.systems import sweeping
 from keycld.systems.base import SweepPath
-from keycld.systems.mujoco_system import AbstractMujocoSystem
+from keycld.systems.mujoco_system import AbstractMujocoSystem, wrapped
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
@@ -52,6 +52,10 @@ class Cartpole(AbstractMujocoSystem):
         cart = np.stack([slider, np.full_like(slider, CART_HEIGHT)], axis=-1)
         tip = cart + LENGTH * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
         return self.to_image_plane(np.stack([cart, tip], axis=-2))
+
+    def tilts(self, state: np.ndarray) -> np.ndarray:
+        """The pole's angle."""
+        return wrapped(state[..., 1:2])
 
     def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         """Hanging, with a little noise."""

@@ -6,7 +6,7 @@ import numpy as np
 
 from keycld.systems import sweeping
 from keycld.systems.base import SweepPath
-from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles
+from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles, wrapped
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:
@@ -44,6 +44,10 @@ class Pendulum(AbstractMujocoSystem):
         angle = state[..., 0]
         tip = np.stack([LENGTH * np.sin(angle), self.camera_height + LENGTH * np.cos(angle)], axis=-1)
         return self.to_image_plane(tip[..., None, :])
+
+    def tilts(self, state: np.ndarray) -> np.ndarray:
+        """The rod's angle."""
+        return wrapped(state[..., :1])
 
     def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
         """Any angle, no velocity."""

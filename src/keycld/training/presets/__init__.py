@@ -1,12 +1,14 @@
 """Whole recipes by name."""
 
 from keycld._errors import unknown
+from keycld.training.presets.base import MODELS as MODELS
 from keycld.training.presets.base import AbstractRecipe as AbstractRecipe
 from keycld.training.presets.base import Scene as Scene
 from keycld.training.presets.fast import FastRecipe as FastRecipe
+from keycld.training.presets.journal import JournalRecipe as JournalRecipe
 from keycld.training.presets.paper import PaperRecipe as PaperRecipe
 
-PRESETS: dict[str, type[AbstractRecipe]] = {"fast": FastRecipe, "paper": PaperRecipe}
+PRESETS: dict[str, type[AbstractRecipe]] = {"fast": FastRecipe, "paper": PaperRecipe, "journal": JournalRecipe}
 
 
 def recipe_class(name: str) -> type[AbstractRecipe]:
@@ -16,4 +18,13 @@ def recipe_class(name: str) -> type[AbstractRecipe]:
     return PRESETS[name]
 
 
-__all__ = ["PRESETS", "AbstractRecipe", "FastRecipe", "PaperRecipe", "Scene", "recipe_class"]
+__all__ = [
+    "MODELS",
+    "PRESETS",
+    "AbstractRecipe",
+    "FastRecipe",
+    "JournalRecipe",
+    "PaperRecipe",
+    "Scene",
+    "recipe_class",
+]

@@ -11,6 +11,14 @@ from keycld.mechanics import AbstractConstraint
 from keycld.models import AbstractModel
 from keycld.training.stages import Stage
 
+MODELS = {
+    "keycld": "the whole of it",
+    "keycld-nc": "without the constraint function",
+    "node2": "a second-order neural ODE instead of the Lagrangian",
+    "fc": "fully connected observer and renderer instead of heat maps",
+}
+"""The model of the paper and its ablations; a recipe builds and trains each of them, all else equal."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
@@ -38,11 +46,11 @@ class AbstractRecipe(abc.ABC):
     """A frozen dataclass of settings that makes a model and its stages; saved whole in `config.json`."""
 
     @abc.abstractmethod
-    def model(self, scene: Scene, key: PRNGKeyArray) -> AbstractModel:
-        """A model with fresh weights."""
+    def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> AbstractModel:
+        """A model with fresh weights; `kind` is a name of `MODELS`."""
 
     @abc.abstractmethod
-    def stages(self, scene: Scene) -> tuple[Stage, ...]:
+    def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
         """What is trained, in order."""
 
     def settings(self) -> dict[str, Any]:

@@ -2,22 +2,14 @@
 
 import dataclasses
 
-import jax
 import optax
 from jaxtyping import PRNGKeyArray
 
 from keycld.data import WholeTrajectories
-from keycld.mechanics import (
-    AdaptiveDynamics,
-    ConstrainedLagrangian,
-    MLPInputMatrix,
-    MLPPotential,
-    PointMasses,
-)
 from keycld.models import CollocationLoss, KeyCLD
 from keycld.training.presets.base import AbstractRecipe, Scene
+from keycld.training.presets.parts import plain_start, published_model
 from keycld.training.stages import Stage, forgetful
-from keycld.vision import KeypointEstimator, PaperUNet, Renderer
 
 
 @dataclasses.dataclass(frozen=True)
@@ -39,31 +31,11 @@ class PaperRecipe(AbstractRecipe):
     epochs: int = 100
     released_optimiser: bool = False
 
-    def model(self, scene: Scene, key: PRNGKeyArray) -> KeyCLD:
+    def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> KeyCLD:
         """The networks of appendix A.4 and adaptive Dormand–Prince roll-outs from a difference of two frames."""
-        keys = jax.random.split(key, 5)
-        count = len(scene.keypoints)
-        law = ConstrainedLagrangian(
-            mass=PointMasses.ones(count),
-            potential=MLPPotential(2 * count, key=keys[0]),
-            input_matrix=MLPInputMatrix(2 * count, scene.inputs, key=keys[1]) if scene.inputs else None,
-            constraint=scene.constraint,
-        )
-        features = (scene.height, scene.width, self.width - count)
-        return KeyCLD(
-            estimator=KeypointEstimator(PaperUNet(3, count, self.width, key=keys[2]), None, stride=1),
-            dynamics=AdaptiveDynamics(law),
-            renderer=Renderer(
-                PaperUNet(self.width, 3, self.width, key=keys[3]),
-                0.01 * jax.random.normal(keys[4], features),  # the default of the initialiser that A.4 names
-                None,
-                1,
-                self.sigma,
-            ),
-            joined=False,
-        )
+        return published_model(scene, key, kind, width=self.width, sigma=self.sigma, start=plain_start(2))
 
-    def stages(self, scene: Scene) -> tuple[Stage, ...]:
+    def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
         """One stage; every parameter at the same rate."""
         return (
             Stage(

@@ -9,6 +9,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld.data import Resident
+from keycld.mechanics import ConstrainedLagrangian, fit_motions
+
+_FITTED = 150
+"""Trajectories in a fit of the dynamics; about fifty numbers are sought."""
+
+# Compiled once for all stages that fit.
+_fit = eqx.filter_jit(fit_motions)
 
 
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -30,6 +37,44 @@ def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
     return model, eqx.tree_at(
         lambda d: d.keypoints, data, jnp.stack(seen).reshape(count, length, -1), is_leaf=lambda x: x is None
     )
+
+
+def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Puts the mean of Φ over all cached keypoints into a start that shares the constants between trajectories."""
+    if getattr(model.start, "constants", None) is None:
+        return model, data
+    assert data.keypoints is not None
+    values = jax.vmap(model.constraint)(data.keypoints.reshape(-1, data.keypoints.shape[-1]))
+    return eqx.tree_at(lambda m: m.start.constants, model, jnp.mean(values, axis=0)), data
+
+
+def fit_dynamics(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Least squares through the dynamics: masses and the affine parts of V and g from the cached keypoints.
+
+    Gradient steps on a few clips leave these numbers several per cent off, which decides long predictions; whole
+    trajectories pin them down. A model without a Lagrangian is left as it is.
+    """
+    dynamics = model.dynamics
+    if not isinstance(getattr(dynamics, "law", None), ConstrainedLagrangian):
+        return model, data
+
+    def free(path: Any, leaf: Any) -> bool:
+        return eqx.is_inexact_array(leaf) and "perceptron" not in jax.tree_util.keystr(path)
+
+    assert data.keypoints is not None
+    some = slice(None, None, max(1, len(data.u) // _FITTED))
+    length = data.image.shape[1]
+    horizons = tuple(sorted({min(frames, length) for frames in (length // 4, length // 2, length)}))
+    fitted = _fit(
+        dynamics,
+        jax.tree_util.tree_map_with_path(free, dynamics),
+        data.keypoints[some],
+        data.u[some],
+        data.dt,
+        horizons=horizons,
+        constants=getattr(model.start, "constants", None),
+    )
+    return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), data
 
 
 def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:

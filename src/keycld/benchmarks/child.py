@@ -1,0 +1,160 @@
+"""The process that does one experiment: data, training, scores, result. `bench run` starts one after the other.
+
+`python -m keycld.benchmarks.child PARENT EXPERIMENT ROOT RESULTS`; its exit code tells how it went.
+"""
+
+import contextlib
+import itertools
+import os
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+
+from keycld.benchmarks.experiment import Experiment, Place
+from keycld.benchmarks.lock import locked
+from keycld.benchmarks.results import condense, read_json, record_failure, write_json
+from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
+from keycld.benchmarks.status import LOCK, LOG, status_of
+from keycld.data import open_data
+from keycld.evaluation import evaluate, evaluate_sweeps, references, save_evaluation, summary
+from keycld.training import finished, load_run, train
+
+_NOTES = "bench.json"
+
+
+def main(arguments: list[str]) -> int:
+    """Do the experiment unless it is done or another process does it; returns one of `running`'s exit codes."""
+    parent, text, root, results = arguments
+    threading.Thread(target=_end_with, args=(int(parent),), daemon=True).start()
+    experiment, place = Experiment.from_json(text), Place(Path(root), Path(results))
+    with locked(place.run(experiment) / LOCK) as mine:
+        if not mine:
+            return TAKEN
+        if status_of(experiment, place).word == "done":
+            return DONE
+        return _attempt(experiment, place)
+
+
+def _attempt(experiment: Experiment, place: Place) -> int:
+    stage = "preparation"
+    try:
+        notes = _Notes(experiment, place)
+        stage = "data"
+        with notes.timed(stage):
+            make_data(experiment, place)
+        stage = "training"
+        with notes.timed(stage):
+            train_model(experiment, place)
+        stage = "evaluation"
+        with notes.timed(stage):
+            evaluate_model(experiment, place)
+        stage = "recording"
+        write_json(place.result(experiment), condense(experiment, place, notes.seconds))
+        place.failure(experiment).unlink(missing_ok=True)
+        return DONE
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except Exception as error:
+        traceback.print_exc()
+        sentence = (str(error).strip().splitlines() or ["no message"])[0]
+        record_failure(experiment, place, stage, type(error).__name__, sentence)
+        return FAILED
+
+
+class _Notes:
+    """What a run folder knows of its experiment: the hash, and the seconds spent in all processes."""
+
+    def __init__(self, experiment: Experiment, place: Place):
+        """Moves a run folder of another configuration out of the way: nobody's training is deleted."""
+        self._path = place.run(experiment) / _NOTES
+        self._hash = experiment.hash()
+        found = read_json(self._path)
+        if found is None or found["config_hash"] != self._hash:
+            _set_aside(place.run(experiment), "" if found is None else found["config_hash"])
+            found = {"config_hash": self._hash, "seconds": {}}
+            write_json(self._path, found)
+        self.seconds: dict[str, float] = found["seconds"]
+
+    @contextlib.contextmanager
+    def timed(self, what: str) -> Iterator[None]:
+        """Adds the seconds of the body to those of `what`."""
+        before, began = self.seconds.get(what, 0.0), time.monotonic()
+        try:
+            yield
+        finally:
+            self.seconds[what] = before + time.monotonic() - began
+            write_json(self._path, {"config_hash": self._hash, "seconds": self.seconds})
+
+
+def _set_aside(run: Path, old: str) -> None:
+    """Move all but lock and log of a run folder to a new one beside it, whose name has the old hash."""
+    entries = [entry for entry in run.iterdir() if entry.name not in (LOCK, LOG)]
+    if not entries:
+        return
+    names = (f"{run.name}.{old or 'unknown'}{'' if n == 0 else f'.{n}'}" for n in itertools.count())
+    aside = next(run.with_name(name) for name in names if not run.with_name(name).exists())
+    aside.mkdir()
+    for entry in entries:
+        entry.rename(aside / entry.name)
+
+
+def make_data(experiment: Experiment, place: Place) -> None:
+    """Make the data where they are missing; waits where another process makes them."""
+    folder = place.data(experiment)
+    with locked(folder.with_name(f".{folder.name}.lock"), wait=True):
+        experiment.data.make(folder)
+
+
+def train_model(experiment: Experiment, place: Place) -> None:
+    """Train to the end, from the newest checkpoint where there is one."""
+    run = place.run(experiment)
+    if not finished(run):
+        train(
+            place.data(experiment),
+            run,
+            model=experiment.model,
+            preset=experiment.preset,
+            settings=experiment.changed_settings(),
+            seed=experiment.seed,
+        )
+
+
+def evaluate_model(experiment: Experiment, place: Place) -> None:
+    """Score the trained model under each protocol that is not scored yet, and its energies along the sweeps."""
+    run = place.run(experiment)
+    trained = (run / "checkpoints" / "latest").stat().st_mtime
+    missing = [
+        name
+        for name in (*(protocol.name for protocol in experiment.protocols), "sweeps")
+        if not _newer(run / "evaluation" / f"{name}.json", trained)
+    ]
+    if not missing:
+        return
+    model, _ = load_run(run)
+    dataset = open_data(place.data(experiment))
+    shared = references(dataset)
+    for protocol in experiment.protocols:
+        if protocol.name in missing:
+            result = evaluate(model, dataset, protocol, shared=shared)
+            save_evaluation(run, protocol.name, result)
+            print(summary(result.scores), flush=True)
+    if "sweeps" in missing and "sweeps" in dataset.splits:
+        save_evaluation(run, "sweeps", evaluate_sweeps(model, dataset))
+
+
+def _newer(path: Path, moment: float) -> bool:
+    return path.exists() and path.stat().st_mtime >= moment
+
+
+def _end_with(parent: int) -> None:
+    """A killed `bench run` takes its work with it, so that the next one finds nothing half alive."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os._exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

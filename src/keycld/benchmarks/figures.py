@@ -1,0 +1,61 @@
+"""The paper's Fig. 3 from recorded results alone: error over time of all models, one panel a data set."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from keycld.benchmarks.experiment import Experiment, Place
+from keycld.benchmarks.suites import MODEL_TITLES
+from keycld.benchmarks.table import data_labels, done_results
+from keycld.drawing import INK, Curve, Limit, panels_figure
+from keycld.evaluation import Protocol
+
+# A model keeps its colour in every figure, also where others are missing.
+_COLOURS = dict(zip(MODEL_TITLES, INK.cycle, strict=False))
+
+
+def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Protocol) -> Figure | None:
+    """Mean squared error over time, one curve a model, with the dashed threshold ε; None without any result.
+
+    A curve is the mean over trajectories, then over seeds; its band the 10th and the 90th percentile of the
+    trajectories, each the mean over seeds. The paper draws 20 validation runs of one seed.
+    """
+    results = done_results(experiments, place)
+    labels = [label for label in data_labels(experiments) if any(each.data.label == label for each, _ in results)]
+    if not labels:
+        return None
+    models = [model for model in MODEL_TITLES if any(each.model == model for each, _ in results)]
+    panels, limits = [], []
+    for label in labels:
+        here = [(each.model, result) for each, result in results if each.data.label == label]
+        curves = [
+            _curve(model, [result["curves"][protocol.name] for trained, result in here if trained == model])
+            for model in models
+        ]
+        # The legend is read off the first panel, so every model is in it, also one without a result there.
+        panels.append((label, curves))
+        limits.append(Limit(here[0][1]["scores"][protocol.name]["epsilon"], "ε"))
+    figure = panels_figure(
+        panels,
+        "frame",
+        y_label="mean squared error",
+        columns=3 if len(labels) <= 3 else 4,
+        logarithmic=True,
+        limits=limits,
+        panel_size=(3.6, 2.6),
+    )
+    for axes, (_, curves) in zip(figure.axes, panels, strict=False):
+        values = np.concatenate([curve.y[curve.y > 0] for curve in curves])
+        # The band of the given frames may be almost exact; a logarithmic axis should not stretch down to it.
+        axes.set_ylim(bottom=0.3 * float(values.min()), top=3.0 * float(values.max()))
+    return figure
+
+
+def _curve(model: str, stored: Sequence[dict[str, Any]]) -> Curve:
+    title, colour = MODEL_TITLES[model], _COLOURS[model]
+    if not stored:
+        return Curve(np.array([0.0]), np.array([np.nan]), title, colour)
+    mean, low, high = (np.mean([each[name] for each in stored], axis=0) for name in ("mean", "low", "high"))
+    return Curve(np.asarray(stored[0]["frame"]), mean, title, colour, low=low, high=high)

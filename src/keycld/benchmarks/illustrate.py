@@ -1,0 +1,88 @@
+"""Write a suite's figures, sheets and movies as files."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from keycld._errors import KeycldError
+from keycld.benchmarks.experiment import Experiment, Place
+from keycld.benchmarks.figures import error_figure
+from keycld.benchmarks.pictures import Gallery, frames_per_second, gallery, movie_of, sheet_of
+from keycld.benchmarks.table import data_labels
+from keycld.drawing import save_figure, save_image, save_movie
+from keycld.evaluation import Protocol
+
+
+@dataclass(frozen=True)
+class Illustration:
+    """What was drawn of one data set under one protocol.
+
+    Attributes:
+        gallery: the pictures.
+        protocol: the protocol.
+        sheet: PNG, the layout of the paper's Figs. 13 to 15.
+        movie: MP4, all models side by side. `movie.with_suffix(".gif")` is the same, smaller.
+    """
+
+    gallery: Gallery
+    protocol: Protocol
+    sheet: Path
+    movie: Path
+
+
+@dataclass(frozen=True)
+class Illustrations:
+    """All that was drawn.
+
+    Attributes:
+        errors: PNG of the error over time (Fig. 3), by the protocol's name.
+        pictures: of each data set whose run folders are there.
+    """
+
+    errors: dict[str, Path]
+    pictures: tuple[Illustration, ...]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that was written."""
+        moving = [path for each in self.pictures for path in (each.sheet, each.movie, each.movie.with_suffix(".gif"))]
+        return (*self.errors.values(), *moving)
+
+
+def illustrate(experiments: Sequence[Experiment], place: Place, folder: Path) -> Illustrations:
+    """Draw Fig. 3 from the results, and sheets and movies from the run folders that are there.
+
+    Sheets and movies show the first trajectory of the test set and, over the shorter of the long horizons, that of
+    the long test.
+
+    Raises:
+        KeycldError: no experiment is done.
+    """
+    protocols = experiments[0].protocols
+    errors = {}
+    for protocol in protocols:
+        figure = error_figure(experiments, place, protocol)
+        if figure is None:
+            raise KeycldError("none of these experiments is done, so there is nothing to draw: keycld bench run.")
+        errors[protocol.name] = folder / f"error-{protocol.name}.png"
+        save_figure(errors[protocol.name], figure)
+    pictures = []
+    shown = {protocol.split: protocol for protocol in reversed(protocols) if protocol.split.startswith("test")}
+    for protocol in reversed(shown.values()):
+        for label in data_labels(experiments):
+            found = gallery(experiments, place, label, protocol)
+            if found is not None:
+                pictures.append(_draw(found, protocol, folder))
+    return Illustrations(errors, tuple(pictures))
+
+
+def _draw(found: Gallery, protocol: Protocol, folder: Path) -> Illustration:
+    name = f"{found.label}-{protocol.name}"
+    drawn = Illustration(found, protocol, folder / f"sheet-{name}.png", folder / f"movie-{name}.mp4")
+    # As many columns as the paper's: every fourth of 50 frames.
+    every = max(1, round(4 * len(found.truth) / 50))
+    save_image(drawn.sheet, sheet_of(found, every))
+    fps = frames_per_second(found)
+    save_movie(drawn.movie, movie_of(found), fps, scale=1)
+    save_movie(drawn.movie.with_suffix(".gif"), movie_of(found, scale=2), fps, scale=1)
+    return drawn

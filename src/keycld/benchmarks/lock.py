@@ -1,0 +1,90 @@
+"""One process an experiment: a lock that ends with the process that holds it, however it ends."""
+
+import contextlib
+import fcntl
+import json
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+_BEAT_SECONDS = 10.0
+
+
+class Holder(NamedTuple):
+    """Who holds a lock: process, machine, and the seconds since it took it and since it last gave a sign of life."""
+
+    pid: int
+    host: str
+    age: float
+    silent: float
+
+
+@contextlib.contextmanager
+def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
+    """Hold the lock in the file `path`; gives False where another process holds it.
+
+    The kernel drops the lock when the process ends, so a killed one leaves nothing to clean up. The file, which
+    stays, says who holds the lock; a thread touches it every ten seconds.
+
+    Args:
+        path: the lock's file.
+        wait: until the other is done, instead of giving up.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a+") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+            return
+        file.truncate(0)
+        file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}))
+        file.flush()
+        done = threading.Event()
+        beat = threading.Thread(target=_beat, args=(path, done), daemon=True)
+        beat.start()
+        try:
+            yield True
+        finally:
+            done.set()
+            beat.join()
+            file.truncate(0)
+
+
+def holder(path: Path) -> Holder | None:
+    """Who holds the lock in the file `path`, or None."""
+    try:
+        with path.open() as file:
+            text = file.read()
+            found = json.loads(text) if text else None
+            if found is None or (found["host"] == socket.gethostname() and not _alive(found["pid"])):
+                return None
+            try:  # the number may be another process's by now
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+                return None
+            except BlockingIOError:
+                now = time.time()
+                silent = max(0.0, now - path.stat().st_mtime)
+                return Holder(found["pid"], found["host"], now - found["since"], silent)
+    except (FileNotFoundError, ValueError):  # ValueError: half written, a moment ago
+        return None
+
+
+def _alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except PermissionError:
+        pass
+    return True
+
+
+def _beat(path: Path, done: threading.Event) -> None:
+    while not done.wait(_BEAT_SECONDS):
+        with contextlib.suppress(OSError):
+            os.utime(path)

@@ -1,0 +1,156 @@
+"""The recorded outcome of an experiment: small, complete, and worth something without its run folder."""
+
+import json
+import os
+import re
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keycld._errors import KeycldError
+from keycld.benchmarks.experiment import Experiment, Place, digest
+from keycld.drawing import replacing
+from keycld.evaluation import Evaluation, load_evaluation
+
+_CURVE_POINTS = 50
+
+
+def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) -> dict[str, Any]:
+    """What is worth keeping of a run that is trained and evaluated.
+
+    Args:
+        experiment: which one.
+        place: where its run folder and data are.
+        seconds: what took how long, as measured in all processes that worked on it.
+
+    Returns:
+        Command, seed, commit and machine; hashes of configuration and data; cost; the scores of each protocol and
+        its error over time.
+    """
+    run, data = place.run(experiment), place.data(experiment)
+    config = json.loads((run / "config.json").read_text())
+    environment = json.loads((run / "environment.json").read_text())
+    last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
+    statistics = json.loads((data / "statistics.json").read_text())
+    stored = {protocol.name: load_evaluation(run, protocol.name) for protocol in experiment.protocols}
+    return {
+        "experiment": experiment.name,
+        "suite": experiment.suite,
+        "command": command(experiment),
+        "system": experiment.data.system,
+        "data": experiment.data.label,
+        "model": experiment.model,
+        "preset": experiment.preset,
+        "seed": experiment.seed,
+        "settings": config["settings"],
+        "commit": environment["commit"],
+        "machine": {name: environment[name] for name in ("processor", "cores", "devices", "packages", "python")},
+        "config_hash": experiment.hash(),
+        "data_hash": digest({name: split["sha256"] for name, split in statistics["splits"].items()}),
+        "data_recipe_hash": digest(statistics["recipe"]),
+        "training": {name: last[name] for name in ("seconds", "cpu_seconds", "frames")},
+        "seconds": {name: round(value, 1) for name, value in seconds.items()},
+        "scores": {name: _scores(each.scores) for name, each in stored.items()},
+        "curves": {name: _curve(each) for name, each in stored.items()},
+    }
+
+
+def command(experiment: Experiment) -> str:
+    """What does this experiment alone, data and scores included."""
+    words = ["keycld bench run", experiment.suite, "--only", experiment.name, "--seeds", str(experiment.seed)]
+    words += ["--models", experiment.model, "--preset", experiment.preset]
+    if experiment.settings:
+        words += ["--set", *(f"{name}={_value(value)}" for name, value in experiment.settings.items())]
+    return " ".join(words)
+
+
+def _value(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ",".join(map(_value, value)) + ("," if len(value) == 1 else "")
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _scores(scores: dict[str, Any]) -> dict[str, Any]:
+    """The scores of one protocol without what belongs to single trajectories."""
+    known = ("state", "drift", "masses", "frames_passed")
+    return {
+        "given": scores["protocol"]["given"],
+        "horizon": scores["protocol"]["horizon"],
+        "vpt": {
+            factor: {name: value for name, value in vpt.items() if name != "frames"}
+            for factor, vpt in scores["vpt"].items()
+        },
+        "mse": scores["mse"],
+        "epsilon": scores["epsilon"],
+        "baselines": {
+            name: {factor: vpt["mean"] for factor, vpt in each["vpt"].items()}
+            for name, each in scores["baselines"].items()
+        },
+        **{name: scores[name] for name in known if name in scores},
+    }
+
+
+def _curve(result: Evaluation) -> dict[str, Any]:
+    """Mean squared error over time: 50 frames, their mean over trajectories, 10th and 90th percentile.
+
+    An error that is not finite stands at the largest finite one; `not_finite` is the share of such frames.
+    """
+    errors = result.arrays["mse"]
+    finite = np.isfinite(errors)
+    top = float(np.max(errors[finite], initial=0.0))
+    errors = np.where(finite, errors, top)
+    index = np.unique(np.round(np.linspace(0, errors.shape[1] - 1, _CURVE_POINTS)).astype(int))
+    picked = errors[:, index]
+    low, high = np.quantile(picked, (0.1, 0.9), axis=0)
+    return {
+        "frame": index.tolist(),
+        "mean": _rounded(picked.mean(axis=0)),
+        "low": _rounded(low),
+        "high": _rounded(high),
+        "not_finite": float(np.mean(~finite)),
+    }
+
+
+def _rounded(values: np.ndarray) -> list[float]:
+    """Four digits are more than a figure shows."""
+    return [float(f"{value:.4g}") for value in values]
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as text for people too: one line a name, lists of numbers in one line; whole or not at all."""
+    text = json.dumps(value, indent=1, allow_nan=False)
+    text = re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda found: "[" + re.sub(r"\s+", " ", found[1]) + "]", text)
+    with replacing(path) as temporary, temporary.open("w") as file:
+        file.write(text + "\n")
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def read_json(path: Path) -> dict[str, Any] | None:
+    """What `write_json` wrote, or None where there is no such file.
+
+    Raises:
+        KeycldError: the file is damaged.
+    """
+    try:
+        return json.loads(path.read_text())
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise KeycldError(f"{path} is damaged ({error}): delete it, and `keycld bench run` makes it again.") from error
+
+
+def record_failure(experiment: Experiment, place: Place, during: str, kind: str, sentence: str) -> None:
+    """Write down what went wrong, for `bench status`; the next `bench run` tries again."""
+    failure = {
+        "experiment": experiment.name,
+        "command": command(experiment),
+        "config_hash": experiment.hash(),
+        "during": during,
+        "kind": kind,
+        "sentence": sentence,
+        "time": time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime()),
+    }
+    write_json(place.failure(experiment), failure)

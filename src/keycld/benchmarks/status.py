@@ -1,0 +1,88 @@
+"""How far each experiment is."""
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple
+
+from keycld._errors import KeycldError
+from keycld.benchmarks.experiment import Experiment, Place
+from keycld.benchmarks.lock import holder
+from keycld.benchmarks.results import read_json
+
+# Files of a run folder that are the bench's own.
+LOCK, LOG = "bench.lock", "bench.log"
+_SILENT_SECONDS = 120.0
+
+Word = Literal["done", "running", "failed", "stale", "missing"]
+
+
+class Status(NamedTuple):
+    """The state of an experiment, what there is to say about it, and its result where one is recorded."""
+
+    word: Word
+    detail: str
+    result: dict[str, Any] | None
+
+
+def status_of(experiment: Experiment, place: Place) -> Status:
+    """Done, running, failed, stale or missing.
+
+    - done: a result whose hash is that of the experiment as it would be done now, with all its protocols. Its run
+      folder may be gone.
+    - running: a live process holds the lock in the run folder.
+    - failed: the last try of this very experiment went wrong; the kind of failure and a sentence.
+    - stale: there is a result, but of other settings, data, constraints or protocols.
+    - missing: none of these; a run that was interrupted will be taken up.
+    """
+    path = place.result(experiment)
+    try:
+        result, damage = read_json(path), ""
+    except KeycldError as error:
+        result, damage = None, str(error)
+    now = experiment.hash()
+    if result is not None and result.get("config_hash") == now and _complete(result, experiment):
+        return Status("done", "", result)
+    lock = holder(place.run(experiment) / LOCK)
+    if lock is not None:
+        detail = f"process {lock.pid} on {lock.host}, for {_minutes(lock.age)}"
+        if lock.silent > _SILENT_SECONDS:
+            detail += f", without a sign of life for {_minutes(lock.silent)}"
+        return Status("running", detail, result)
+    failure = read_json(place.failure(experiment))
+    if failure is not None and failure["config_hash"] == now:
+        return Status("failed", f"{failure['kind']} during {failure['during']}: {failure['sentence']}", result)
+    if result is not None:
+        changed = "other protocols" if result.get("config_hash") == now else "another configuration"
+        return Status("stale", f"recorded for {changed}", result)
+    pointer = place.run(experiment) / "checkpoints" / "latest"
+    if pointer.exists():
+        return Status("missing", f"interrupted after {pointer.read_text().strip()}", None)
+    return Status("missing", damage, None)
+
+
+def status_table(experiments: Sequence[Experiment], place: Place) -> str:
+    """One line an experiment."""
+    width = max(len(experiment.name) for experiment in experiments)
+    headline = experiments[0].protocols[0].name
+    lines = [f"{'experiment':{width}}  {'state':8}{'VPT':>6}{'minutes':>9}  (VPT: {headline}; minutes of training)"]
+    for experiment in experiments:
+        status = status_of(experiment, place)
+        shown = ""
+        if status.word == "done" and status.result is not None:
+            vpt = status.result["scores"][headline]["vpt"]["1"]["mean"]
+            shown = f"{vpt:6.3f}{status.result['training']['seconds'] / 60.0:9.1f}"
+        lines.append(f"{experiment.name:{width}}  {status.word:8}{shown:15}  {status.detail}".rstrip())
+    return "\n".join(lines)
+
+
+def count_states(experiments: Sequence[Experiment], place: Place) -> dict[str, int]:
+    """How many experiments are in each state."""
+    words = [status_of(experiment, place).word for experiment in experiments]
+    return {word: words.count(word) for word in dict.fromkeys(words)}
+
+
+def _complete(result: dict[str, Any], experiment: Experiment) -> bool:
+    return all(protocol.name in result["scores"] for protocol in experiment.protocols)
+
+
+def _minutes(seconds: float) -> str:
+    return f"{seconds / 60.0:.0f} min" if seconds >= 60.0 else f"{seconds:.0f} s"

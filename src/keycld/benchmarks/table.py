@@ -1,0 +1,174 @@
+"""The paper's Table 1 from recorded results: published, trivial and our scores, ours as mean and spread over seeds."""
+
+import csv
+import io
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from keycld.benchmarks.experiment import Experiment, Place
+from keycld.benchmarks.status import Status, status_of
+from keycld.benchmarks.suites import MODEL_TITLES
+from keycld.evaluation import PAPER_VPT, Protocol
+
+
+class Cell(NamedTuple):
+    """A mean, its spread where there are several values, and how many there are."""
+
+    mean: float
+    spread: float | None
+    n: int
+
+    def text(self, digits: int) -> str:
+        """`0.97 ± 0.01 (3)`; in brackets the number of seeds. A published or trivial score has none."""
+        spread = "" if self.spread is None else f" ± {self.spread:.{digits}f}"
+        return f"{self.mean:.{digits}f}{spread}" + (f" ({self.n})" if self.n else "")
+
+
+class Row(NamedTuple):
+    """A line of a table: its kind is `ours`, `trivial` or `paper`."""
+
+    name: str
+    kind: str
+    cells: tuple[Cell | None, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Scores under one protocol and threshold: one column a data set, one row a model.
+
+    Attributes:
+        name: for files: `test@50`, `test@50 ε/4`, `minutes`.
+        title: what the numbers are.
+        columns: the data sets.
+        rows: models, trivial predictors, the paper's.
+        digits: behind the point.
+    """
+
+    name: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    digits: int = 3
+
+    def texts(self, row: Row) -> list[str]:
+        """The cells of a row as words: a dash for a score that is not there, the paper's with its two digits."""
+        digits = 2 if row.kind == "paper" else self.digits
+        return ["–" if cell is None else cell.text(digits) for cell in row.cells]
+
+
+def over_seeds(values: Sequence[float]) -> Cell:
+    """Mean and sample standard deviation (n − 1) of one score over seeds; no spread for a single one."""
+    n = len(values)
+    mean = sum(values) / n
+    spread = math.sqrt(sum((value - mean) ** 2 for value in values) / (n - 1)) if n > 1 else None
+    return Cell(mean, spread, n)
+
+
+def tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
+    """One table for each protocol and threshold, and one of the training times.
+
+    Only results that are done count (`status_of`): stale ones are left out.
+    """
+    results = done_results(experiments, place)
+    found = []
+    for protocol in experiments[0].protocols:
+        for factor in protocol.factors:
+            found.append(_scores(experiments, results, protocol, f"{factor:g}"))
+    minutes = _ours(experiments, results, lambda result: result["training"]["seconds"] / 60.0)
+    columns = data_labels(experiments)
+    title = "minutes of training, wall-clock; mean ± standard deviation over seeds (number of seeds)"
+    return (*found, Table("minutes", title, columns, minutes, digits=1))
+
+
+def done_results(experiments: Sequence[Experiment], place: Place) -> list[tuple[Experiment, dict[str, Any]]]:
+    """Experiments that are done, with their results."""
+    found: list[tuple[Experiment, Status]] = [(each, status_of(each, place)) for each in experiments]
+    return [(each, status.result) for each, status in found if status.word == "done" and status.result is not None]
+
+
+def data_labels(experiments: Sequence[Experiment]) -> tuple[str, ...]:
+    """The data sets, each once, in the experiments' order."""
+    return tuple(dict.fromkeys(experiment.data.label for experiment in experiments))
+
+
+def _scores(
+    experiments: Sequence[Experiment],
+    results: Sequence[tuple[Experiment, dict[str, Any]]],
+    protocol: Protocol,
+    factor: str,
+) -> Table:
+    columns = data_labels(experiments)
+    rows = _ours(experiments, results, lambda result: result["scores"][protocol.name]["vpt"][factor]["mean"])
+    first = {each.data.label: result["scores"][protocol.name]["baselines"] for each, result in reversed(results)}
+    names = dict.fromkeys(name for baselines in first.values() for name in baselines)
+    for name in names:
+        scores = [first.get(column, {}).get(name) for column in columns]
+        rows += (Row(name, "trivial", tuple(None if s is None else Cell(s[factor], None, 0) for s in scores)),)
+    if _published(experiments[0], protocol) and factor == "1":
+        for title in MODEL_TITLES.values():
+            values = [PAPER_VPT[column][title] for column in columns]
+            rows += (Row(f"paper: {title}", "paper", tuple(Cell(value, None, 0) for value in values)),)
+    threshold = {"1": "ε", "0.25": "ε/4"}.get(factor, f"{factor} ε")
+    title = (
+        f"VPT as a part of {protocol.horizon} frames, {protocol.split}.h5, threshold {threshold}, {protocol.given} "
+        "frames given; mean ± standard deviation over seeds (number of seeds)"
+    )
+    return Table(protocol.name + ("" if factor == "1" else f" {threshold}"), title, columns, rows)
+
+
+def _published(experiment: Experiment, protocol: Protocol) -> bool:
+    """Whether the paper's Table 1 is about this: its data, two given frames, 50 scored (20 validation runs)."""
+    return experiment.data.protocol == "keycld-2022" and protocol.given == 2 and protocol.horizon == 50
+
+
+def _ours(
+    experiments: Sequence[Experiment],
+    results: Sequence[tuple[Experiment, dict[str, Any]]],
+    value: Callable[[dict[str, Any]], float],
+) -> tuple[Row, ...]:
+    values: dict[tuple[str, str], list[float]] = {}
+    for experiment, result in results:
+        values.setdefault((experiment.model, experiment.data.label), []).append(value(result))
+    rows = []
+    for model in dict.fromkeys(experiment.model for experiment in experiments):
+        found = [values.get((model, column)) for column in data_labels(experiments)]
+        rows.append(
+            Row(MODEL_TITLES[model], "ours", tuple(None if each is None else over_seeds(each) for each in found))
+        )
+    return tuple(rows)
+
+
+def as_text(table: Table) -> str:
+    """A table for a terminal."""
+    cells = [table.texts(row) for row in table.rows]
+    first = max(len(row.name) for row in table.rows)
+    widths = [max(len(text) for text in column) for column in zip(table.columns, *cells, strict=True)]
+    lines = [table.title, " " * first + "".join(f"   {c:>{w}}" for c, w in zip(table.columns, widths, strict=True))]
+    for row, texts in zip(table.rows, cells, strict=True):
+        lines.append(f"{row.name:{first}}" + "".join(f"   {c:>{w}}" for c, w in zip(texts, widths, strict=True)))
+    return "\n".join(lines)
+
+
+def as_markdown(table: Table) -> str:
+    """A table for a page."""
+    lines = [f"**{table.name}**: {table.title}.", "", f"| | {' | '.join(table.columns)} |"]
+    lines.append("|---" * (1 + len(table.columns)) + "|")
+    for row in table.rows:
+        lines.append(f"| {row.name} | {' | '.join(table.texts(row))} |")
+    return "\n".join(lines) + "\n"
+
+
+def as_csv(found: Sequence[Table]) -> str:
+    """All tables in one, one line a cell: table, row, kind, column, mean, spread, n (0 for what has no seeds)."""
+    with io.StringIO(newline="") as buffer:
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(["table", "row", "kind", "column", "mean", "spread", "n"])
+        for table in found:
+            for row in table.rows:
+                for column, cell in zip(table.columns, row.cells, strict=True):
+                    if cell is not None:
+                        spread = "" if cell.spread is None else repr(cell.spread)
+                        writer.writerow([table.name, row.name, row.kind, column, repr(cell.mean), spread, cell.n])
+        return buffer.getvalue()

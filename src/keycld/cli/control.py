@@ -1,0 +1,152 @@
+"""`keycld control`."""
+
+import sys
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from keycld import KeycldError
+
+
+def control(
+    run: tyro.conf.Positional[str],
+    /,
+    *,
+    goal: str = "upright",
+    law: Literal["shaping", "paper", "mpc", "zero", "random"] = "shaping",
+    kp: float = 5.0,
+    kd: float = 2.0,
+    limit: float | None = None,
+    actuators: tuple[str, ...] = (),
+    seconds: float = 10.0,
+    starts: int = 1,
+    seed: int = 0,
+    observer: Literal["predict-correct", "differences"] = "predict-correct",
+    noise: float = 0.0,
+    drop: float = 0.0,
+    out: Path | None = None,
+    workers: int | None = None,
+) -> None:
+    """Bring the simulated system to a goal from its pixels: movie, figures, trajectories, energies, inputs, timing.
+
+    Args:
+        run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
+        goal: upright, or a picture (.png) of the pose to reach, as large as the training pictures.
+        law: shaping (energy shaping), paper (its eq. 15 to the letter), mpc (plans a motion and tracks it: for weak or
+            missing inputs), or zero or random input to compare with.
+        kp: Stiffness by mass, 1/s².
+        kd: Damping by mass, 1/s.
+        limit: The largest |u|; none unless told.
+        actuators: The inputs that act, by name; all unless told.
+        seconds: How long.
+        starts: How many random starts; the first one is timed and shown.
+        seed: Of starts and noise.
+        observer: Where velocities come from: predict-correct (learned dynamics) or differences of frames.
+        noise: Deviation of noise on the pictures, as a part of the full range.
+        drop: Probability that a frame does not arrive.
+        out: Folder for the results; the run's own unless told.
+        workers: Processes that simulate and draw, at most four. Default: one a core.
+    """
+    from keycld.control import Assignment, Disturbance, swing_up
+    from keycld.evaluation import save_evaluation
+    from keycld.reports import write_control_media
+    from keycld.systems import get
+    from keycld.training import load_run, run_folder
+
+    folder = run_folder(run)
+    model, config = load_run(folder)
+    assignment = Assignment(
+        law=law,
+        kp=kp,
+        kd=kd,
+        limit=limit,
+        actuators=actuators or None,
+        seconds=seconds,
+        starts=starts,
+        seed=seed,
+        observer=observer,
+        disturbance=Disturbance(noise, drop),
+    )
+    picture = None if goal == "upright" else _picture(Path(goal))
+    result = swing_up(
+        model,
+        get(config.system),
+        _epsilon(model, config),
+        picture,
+        assignment,
+        progress=_Shown(round(seconds / config.dt)),
+        workers=workers,
+    )
+    target, name = out or folder, _name(goal, assignment)
+    path = save_evaluation(target, name, result)
+    movie, _, figure = write_control_media(target, name, result)
+    print(_summary(result.scores))
+    print(f"stored: {path}, {movie}, {figure}")
+    if out is None:
+        print(f"next: keycld report {run}")
+
+
+def _picture(path: Path) -> Any:
+    import imageio.v3
+
+    try:
+        picture = imageio.v3.imread(path)
+    except (OSError, ValueError) as error:
+        raise KeycldError(f"--goal takes upright or a picture; '{path}' cannot be read ({error}).") from None
+    return picture[..., :3] if picture.ndim == 3 else picture
+
+
+def _epsilon(model: Any, config: Any) -> float:
+    """ε as the model itself knows it, from the deviation of its training pictures; else from its data."""
+    standardise = getattr(getattr(model, "estimator", None), "standardise", None)
+    if standardise is not None:
+        return float(standardise.deviation) ** 2
+    from keycld.data import open_data
+    from keycld.evaluation import epsilon
+
+    return epsilon(open_data(config.data).validation().image)  # pyright: ignore[reportArgumentType]
+
+
+def _name(goal: str, assignment: Any) -> str:
+    """Of the result's files: what differs from the defaults."""
+    words = ["control", "upright" if goal == "upright" else Path(goal).stem, assignment.law]
+    words += list(assignment.actuators or ())
+    words += [] if assignment.limit is None else [f"limit{assignment.limit:g}"]
+    words += [f"noise{assignment.disturbance.noise:g}"] if assignment.disturbance.noise else []
+    words += [f"drop{assignment.disturbance.dropped:g}"] if assignment.disturbance.dropped else []
+    words += [assignment.observer] if assignment.observer != "predict-correct" else []
+    return "-".join(words)
+
+
+def _summary(scores: dict[str, Any]) -> str:
+    step = scores["step"]
+    largest = ", ".join(f"{value:.3g}" for value in scores["largest_input"])
+    lines = [
+        f"{scores['law']}: {scores['successes']} of {scores['n']} starts keep the goal during the last second",
+        f"  largest |u| {largest}; mean learned mass {scores['mean_mass']:.3g}",
+        f"  frame in, input out: median {step['median_ms']:.2f} ms, 99th percentile {step['p99_ms']:.2f} ms of "
+        f"{step['period_ms']:.0f} ms, {step['missed']} of {step['frames']} missed",
+    ]
+    if "passivity" in scores:
+        passivity = scores["passivity"]
+        lines.append(
+            f"  T + V_d falls in {100 * passivity['falling_frames']:.0f} % of the frames, largest rise "
+            f"{100 * passivity['largest_rise_median']:.1f} % of its start (median of starts)"
+        )
+    return "\n".join(lines)
+
+
+class _Shown:
+    """Progress of the flight, as the training shows it."""
+
+    def __init__(self, total: int) -> None:
+        import time
+
+        from keycld.training import Bar
+
+        self._clock, self._bar = time.monotonic, Bar("control", total, stream=sys.stderr)
+        self._began = self._clock()
+
+    def __call__(self, done: int, total: int) -> None:
+        self._bar.show(done, done / max(self._clock() - self._began, 1e-9), "")

@@ -1,0 +1,89 @@
+"""Linear–quadratic regulation about a pose or along a motion, from the linearised learned dynamics.
+
+All in the model's own coordinates z = (x, v) [4K]. A step of the constrained dynamics returns to the constraints from
+anywhere near, so directions off them have eigenvalues of zero and need no special care.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import scipy.linalg
+from jaxtyping import Array, Float
+
+from keycld._errors import KeycldError
+from keycld.mechanics import AbstractDynamics, Motion, State
+
+
+class Weights(NamedTuple):
+    """Deviations that cost as much as one another (Bryson's rule): Q = diag(1/deviation²), R = 1/deviation².
+
+    Attributes:
+        position: of a keypoint's coordinate, image-plane units.
+        velocity: of its rate, units/s.
+        input: of u.
+    """
+
+    position: float
+    velocity: float
+    input: float
+
+    def state_cost(self, dim: int) -> np.ndarray:
+        """Q [4K, 4K]."""
+        return np.diag(np.repeat([self.position**-2.0, self.velocity**-2.0], dim))
+
+
+def frame_step(
+    dynamics: AbstractDynamics,
+    z: Float[Array, "two_dim"],
+    u: Float[Array, "l"],
+    constants: Float[Array, "n"],
+    dt: float,
+) -> Float[Array, "two_dim"]:
+    """The motion one frame later."""
+    state = dynamics.step(State(Motion(*jnp.split(z, 2)), {"constants": constants}), u, dt)
+    return jnp.concatenate(state.coordinates)
+
+
+_jacobians = eqx.filter_jit(jax.jacfwd(frame_step, argnums=(1, 2)))
+
+
+def stationary_gain(
+    dynamics: AbstractDynamics,
+    goal: Float[Array, "dim"],
+    u: Float[Array, "l"],
+    constants: Float[Array, "n"],
+    actuators: tuple[int, ...],
+    dt: float,
+    weights: Weights,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gain K [a, 4K] of u = u* − K (z − z*) that holds a pose, and its cost-to-go S [4K, 4K].
+
+    Minimises Σ (zᵀQz + uᵀRu) of the step linearised at the pose, by the discrete Riccati equation.
+
+    Args:
+        dynamics: learned.
+        goal: x*.
+        u: the input u* [l] that holds it.
+        constants: of the constraints.
+        actuators: numbers of the inputs that act.
+        dt: seconds between frames.
+        weights: what deviations cost.
+
+    Raises:
+        KeycldError: those inputs cannot hold the pose.
+    """
+    z = jnp.concatenate([goal, 0 * goal])
+    a, b = _jacobians(dynamics, z, u, constants, dt)
+    a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)[:, list(actuators)]
+    cost = np.eye(len(actuators)) / weights.input**2
+    try:
+        ahead = scipy.linalg.solve_discrete_are(a, b, weights.state_cost(len(goal)), cost)
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise KeycldError(
+            f"these inputs cannot hold the goal ({error}): choose other actuators, or another goal image."
+        ) from error
+    gain = np.linalg.solve(cost + b.T @ ahead @ b, b.T @ ahead @ a)
+    return gain, ahead

@@ -1,0 +1,32 @@
+"""A law of motion without any physics in it: the second-order neural differential equation."""
+
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keycld.mechanics.lagrangian import AbstractLaw
+from keycld.mechanics.networks import Perceptron
+
+
+class SecondOrderNetwork(AbstractLaw):
+    """a = perceptron(x, v, u) with three hidden layers: NODE2 of the paper's ablation (appendix A.4).
+
+    It knows neither energies nor constraints. The paper's layers have 64 units, CELU between them, and kernels that
+    start as N(0, 0.01²).
+    """
+
+    perceptron: Perceptron
+
+    def __init__(self, dim: int, inputs: int, width: int = 64, *, key: PRNGKeyArray):
+        self.perceptron = Perceptron((2 * dim + inputs, width, width, width, dim), key)
+
+    def acceleration(
+        self,
+        x: Float[Array, "dim"],
+        v: Float[Array, "dim"],
+        u: Float[Array, "l"],
+        parameters: dict[str, Any] | None = None,
+    ) -> Float[Array, "dim"]:
+        """a(x, v, u); `parameters` play no part."""
+        return self.perceptron(jnp.concatenate([x, v, u]))

@@ -1,0 +1,91 @@
+"""The part of the page on control: who was brought where, how well, how fast."""
+
+from typing import Any
+
+from keycld.evaluation import Evaluation
+from keycld.reports import control_figures, html
+from keycld.reports.run import Run
+
+_LAWS = {
+    "shaping": "energy shaping",
+    "paper": "energy shaping, eq. (15) to the letter",
+    "mpc": "planned motions, tracked",
+    "zero": "no input",
+    "random": "random input",
+}
+
+
+def control(run: Run) -> str:
+    """Movie, strip, curves and figures of each controlled flight; nothing where there is none."""
+    if not run.controls:
+        return ""
+    note = (
+        "The learned energies close a loop: the camera’s picture gives keypoints, the learned dynamics turn them into "
+        "positions and velocities, and the controller pushes the simulated system towards the pose of one goal "
+        "picture. It is never told an angle. A start counts as a success when the goal is kept during the whole last "
+        "second."
+    )
+    rows = [_row(result.scores) for result in run.controls.values()]
+    head = ["control", "acting", "limit of u", "successes", "largest u", "step, median", "99th percentile", "misses"]
+    parts = [html.paragraph(note), html.table(head, rows, "scores")]
+    for name, result in run.controls.items():
+        if result.scores["law"] in ("shaping", "paper", "mpc"):
+            parts.append(_flight(run, name, result))
+    return html.section("control", "Control from pixels", "".join(parts))
+
+
+def _row(scores: dict[str, Any]) -> list[str]:
+    step = scores["step"]
+    limit = scores["limit"]
+    return [
+        html.text(_title(scores)),
+        html.text(", ".join(scores["acting"])),
+        "none" if limit is None else html.number(limit),
+        f"{scores['successes']} of {scores['n']}",
+        html.text(", ".join(f"{value:.3g}" for value in scores["largest_input"])),
+        f"{step['median_ms']:.1f} ms",
+        f"{step['p99_ms']:.1f} of {step['period_ms']:.0f} ms",
+        f"{step['missed']} of {step['frames']}",
+    ]
+
+
+def _title(scores: dict[str, Any]) -> str:
+    words = [str(_LAWS.get(scores["law"], scores["law"]))]
+    disturbance = scores["disturbance"]
+    if disturbance["noise"]:
+        words.append(f"{100 * disturbance['noise']:.0f} % noise")
+    if disturbance["dropped"]:
+        words.append(f"{100 * disturbance['dropped']:.0f} % of frames dropped")
+    if scores["observer"] != "predict-correct":
+        words.append("velocity by differences")
+    if scores["goal"] != "upright":
+        words.append("goal from a picture")
+    return ", ".join(words)
+
+
+def _flight(run: Run, name: str, result: Evaluation) -> str:
+    scores = result.scores
+    movie, _, _ = control_figures.write_control_media(run.folder, name, result)
+    frames = control_figures.flight_frames(result)
+    strip = control_figures.flight_strip(result)
+    settled = scores["settled_seconds"][0]
+    caption = f"{html.text(_title(scores))}: the first start, beside the goal. The bar is green while the goal is kept"
+    caption += "." if settled is None else f", from {settled:.1f} s to the end."
+    parts = [
+        html.figure(html.movie(movie, frames[-1], None, "Camera picture with keypoints, and the goal"), caption),
+        html.figure(html.image(strip, "Pictures from the start to the end, and the goal"), "Compare Fig. 5."),
+        html.figure(html.chart(control_figures.flight_figure(result), name), _curves_caption(scores)),
+    ]
+    return "".join(parts)
+
+
+def _curves_caption(scores: dict[str, Any]) -> str:
+    words = f"Tilts: median and 10th to 90th percentile of {scores['n']} starts. Inputs: the first start."
+    if "passivity" in scores:
+        rise = 100 * scores["passivity"]["largest_rise_median"]
+        words += (
+            f" In a passive loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % of its "
+            f"start (median). Mean learned mass: {html.number(scores['mean_mass'])}, an arbitrary scale that only the "
+            "paper’s law depends on."
+        )
+    return words

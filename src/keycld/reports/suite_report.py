@@ -1,0 +1,161 @@
+"""One HTML page that shows a suite of experiments: tables, errors over time, sheets and movies of all models."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from keycld.benchmarks import (
+    MODEL_TITLES,
+    Experiment,
+    Illustration,
+    Illustrations,
+    Place,
+    Table,
+    done_results,
+    error_figure,
+    illustrate,
+    movie_of,
+    status_of,
+    suite_named,
+    tables,
+)
+from keycld.reports import html
+from keycld.reports.page import write_page
+
+_HORIZON_NOTE = (
+    "Valid prediction time is the share of the frames before the predicted picture is, for the first time, further "
+    "from the truth than a still picture would be on average. Behind ± stands the standard deviation over training "
+    "seeds, their number in brackets. Scores without brackets do not depend on a seed. The paper’s were measured on 20 "
+    "validation recordings."
+)
+
+
+def write_suite_report(experiments: Sequence[Experiment], place: Place, folder: str | Path) -> Path:
+    """Write `report.html` into a folder, and figures, sheets and movies into its `media/`; returns the page's path.
+
+    Tables and curves come from the recorded results alone, sheets and movies from the run folders that are there.
+
+    Args:
+        experiments: of one suite.
+        place: where their results and run folders are.
+        folder: of the page.
+
+    Raises:
+        KeycldError: none of the experiments is done, or the folder cannot be written.
+    """
+    folder = Path(folder)
+    drawn = illustrate(experiments, place, folder / "media")
+    found = tables(experiments, place)
+    results = done_results(experiments, place)
+    body = (
+        _head(experiments, [result for _, result in results], found[0])
+        + _errors(experiments, place)
+        + _sheets(drawn)
+        + _movies(drawn)
+        + _scores(found[1:])
+        + _experiments(experiments, place)
+    )
+    footer = f"Written by <b>keycld bench report {html.text(experiments[0].suite)}</b> from recorded results."
+    return write_page(folder / "report.html", f"{experiments[0].suite} · benchmark", body, footer)
+
+
+def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], table: Table) -> str:
+    suite = suite_named(experiments[0].suite)
+    machines = dict.fromkeys(f"{r['machine']['processor']}, {r['machine']['cores']} cores" for r in results)
+    hours = sum(result["training"]["seconds"] for result in results) / 3600.0
+    facts = [
+        ("preset", experiments[0].preset),
+        ("experiments", f"{len(results)} of {len(experiments)} done"),
+        ("training", f"{hours:.1f} hours"),
+        ("on", "; ".join(machines)),
+    ]
+    line = "".join(f"<span>{html.text(name)} <b>{html.text(value)}</b></span>" for name, value in facts)
+    places = {
+        "errors": "error over time",
+        "sheets": "frames",
+        "movies": "movies",
+        "scores": "all scores",
+        "experiments": "experiments",
+    }
+    contents = "<nav>" + "".join(f'<a href="#{name}">{word}</a>' for name, word in places.items()) + "</nav>"
+    return (
+        f'<header><p class="eyebrow">benchmark</p><h1>{html.text(suite.name)}</h1>'
+        f'<p class="lede">{html.text(suite.title)}.</p><p class="facts">{line}</p></header>'
+        f"{_table(table)}{html.paragraph(_HORIZON_NOTE, 'note')}{contents}"
+    )
+
+
+def _table(table: Table) -> str:
+    rows = []
+    for row in table.rows:
+        name = f"<b>{html.text(row.name)}</b>" if row.kind == "ours" else html.text(row.name)
+        rows.append([name, *table.texts(row)])
+    return html.figure(html.table(["", *map(html.text, table.columns)], rows, "scores"), html.text(table.title) + ".")
+
+
+def _errors(experiments: Sequence[Experiment], place: Place) -> str:
+    charts = []
+    for protocol in experiments[0].protocols:
+        figure = error_figure(experiments, place, protocol)
+        if figure is not None:
+            caption = f"{protocol.split}.h5, {protocol.horizon} frames, {protocol.given} given."
+            charts.append(html.figure(html.chart(figure, f"error-{protocol.name}"), caption))
+    note = (
+        "Mean squared error of the predicted pictures, mean over recordings and seeds, with a band from the 10th to "
+        "the 90th percentile of the recordings. Above the dashed ε a prediction is worth less than a still picture. "
+        "Compare Fig. 3 of the paper."
+    )
+    return html.section("errors", "Error over time", html.paragraph(note) + "".join(charts))
+
+
+def _sheets(drawn: Illustrations) -> str:
+    if not drawn.pictures:
+        return html.missing("sheets", "Frame by frame", "none of the run folders is there")
+    pictures = []
+    for each in drawn.pictures:
+        description = f"Frames of {html.text(each.gallery.label)}: truth and models"
+        pictures.append(html.figure(f'<img src="{html.data_uri(each.sheet)}" alt="{description}">', _caption(each)))
+    note = "Ground truth above, every model below, as in Figs. 13 to 15 of the paper. The first recording of the file."
+    return html.section("sheets", "Frame by frame", html.paragraph(note) + "".join(pictures))
+
+
+def _movies(drawn: Illustrations) -> str:
+    if not drawn.pictures:
+        return html.missing("movies", "Side by side", "none of the run folders is there")
+    moving = []
+    for k, each in enumerate(drawn.pictures):
+        # A GIF is large: one is enough to show movement where H.264 is unknown.
+        fallback = each.movie.with_suffix(".gif") if k == 0 else None
+        label = f"Truth and all models on {each.gallery.label}, moving"
+        moving.append(html.figure(html.movie(each.movie, movie_of(each.gallery)[-1], fallback, label), _caption(each)))
+    note = "A bar turns red when the prediction above it stops being valid."
+    return html.section("movies", "Side by side", html.paragraph(note) + "".join(moving))
+
+
+def _caption(drawn: Illustration) -> str:
+    protocol, seeds = drawn.protocol, drawn.gallery.seeds
+    same = len(set(seeds.values())) == 1
+    each = ", ".join(f"{html.text(title)} with seed {seed}" for title, seed in seeds.items())
+    shown = f"seed {next(iter(seeds.values()))}" if same else each
+    name = html.text(drawn.gallery.label)
+    return f"<b>{name}</b> · {protocol.split}.h5, {protocol.given} frames given of {protocol.horizon} · {shown}."
+
+
+def _scores(found: Sequence[Table]) -> str:
+    return html.section("scores", "All scores", "".join(map(_table, found)))
+
+
+def _experiments(experiments: Sequence[Experiment], place: Place) -> str:
+    rows, commands = [], []
+    for experiment in experiments:
+        status = status_of(experiment, place)
+        cells = [html.text(status.word), html.text(MODEL_TITLES[experiment.model]), "–", "–", html.text(status.detail)]
+        if status.word == "done" and status.result is not None:
+            cells[2] = f"{status.result['training']['seconds'] / 60.0:.1f}"
+            cells[3] = html.text(str(status.result["commit"])[:10])
+            commands.append(status.result["command"])
+        rows.append([html.text(experiment.name), *cells])
+    head = ["experiment", "state", "model", "minutes", "commit", ""]
+    done = "\n".join(html.text(each) for each in commands)
+    details = f"<details><summary>Commands</summary><pre><code>{done}</code></pre></details>"
+    return html.section("experiments", "Experiments", html.table(head, rows) + details)

@@ -1,0 +1,74 @@
+"""Sampled systems that solve an initial value problem: start and parameters decide everything."""
+
+import abc
+from collections.abc import Mapping
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keycld._errors import KeycldError
+from keycld.systems.sampled import AbstractDrawnSystem, Recording, in_lanes
+
+_MOST_DRAWS = 1000
+
+
+class AbstractInitialValueSystem(AbstractDrawnSystem):
+    """A system that moves by its start alone; trajectory n draws from `numpy.random.RandomState(n)`."""
+
+    @abc.abstractmethod
+    def start(
+        self, random: np.random.RandomState, protocol: str
+    ) -> tuple[Float[np.ndarray, "d"], dict[str, np.ndarray]]:
+        """A random start and random parameters."""
+
+    @abc.abstractmethod
+    def motion(
+        self, start: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
+    ) -> Float[Array, "T d"]:
+        """The states of one trajectory at `times`, the first of which is 0."""
+
+    @abc.abstractmethod
+    def accepts(self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Which trajectories are kept, bool [N]; the others are drawn again from the same generators."""
+
+    def group(self, frames: int, size: str, images: bool) -> int:
+        """Some seconds of work."""
+        return max(1, (32_000 if images else 256_000) // frames)
+
+    def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
+        """Draws, solves and draws again those that are not accepted; `draws` among the parameters counts."""
+        randoms = [np.random.RandomState(number) for number in numbers]
+        time = self.dt * np.arange(frames)
+        drawn = [self.start(random, protocol) for random in randoms]
+        start = np.stack([state for state, _ in drawn])
+        parameters = {name: np.stack([given[name] for _, given in drawn]) for name in drawn[0][1]}
+        state = self.move(start, parameters, time)
+        draws = np.ones(len(randoms), int)
+        again = np.flatnonzero(~self.accepts(state, parameters))
+        while len(again):
+            if draws.max() == _MOST_DRAWS:
+                raise KeycldError(f"no trajectory of {self.name} stayed in the picture in {_MOST_DRAWS} draws.")
+            for i in again:
+                start[i], given = self.start(randoms[i], protocol)
+                for name, value in given.items():
+                    parameters[name][i] = value
+            redrawn = {name: value[again] for name, value in parameters.items()}
+            state[again] = self.move(start[again], redrawn, time)
+            draws[again] += 1
+            again = again[~self.accepts(state[again], redrawn)]
+        return Recording(time, state, {"seed": np.array(numbers), "draws": draws, **parameters})
+
+    def move(
+        self, start: Float[np.ndarray, "N d"], parameters: Mapping[str, np.ndarray], time: Float[np.ndarray, "T"]
+    ) -> Float[np.ndarray, "N T d"]:
+        """The motion of many starts, in float64."""
+        with jax.enable_x64(True):
+            return in_lanes(partial(_move, self.motion, jnp.asarray(time)), start, dict(parameters))
+
+
+@partial(jax.jit, static_argnums=0)
+def _move(motion, time, start, parameters):
+    return jax.vmap(motion, (0, 0, None))(start, parameters, time)

@@ -1,0 +1,175 @@
+"""Systems whose trajectories are drawn many at a time, and whose pictures may be drawn from the state at any time."""
+
+import abc
+import math
+from collections.abc import Mapping
+from functools import partial
+from typing import Any, ClassVar, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from keycld._errors import KeycldError
+from keycld.systems.base import AbstractSystem
+from keycld.systems.drawing import Pictures
+from keycld.systems.suite.soft_discs import to_bytes
+
+RELEASED, PAPER = "priors-released", "priors-paper"
+_LANES = 1024
+
+
+class Recording(NamedTuple):
+    """N trajectories of T frames, without their pictures; arrays are float64 unless they count something.
+
+    Attributes:
+        time: [T], seconds; 0 at the first frame, which shows the start.
+        state: [N, T, d].
+        parameters: arrays [N, ...], constant along a trajectory.
+    """
+
+    time: np.ndarray
+    state: np.ndarray
+    parameters: dict[str, np.ndarray]
+
+
+class AbstractSampledSystem(AbstractSystem):
+    """Something whose trajectories follow from their numbers, without input.
+
+    Attributes:
+        protocols: the ways to draw trajectories that it knows, the default first. `"priors-released"`: the
+            released configurations; `"priors-paper"`: the text of the paper where the two differ.
+        counts: trajectories of each file by size: `{"default": {"train": ..., "test": ...}, "full": ...}`; "train"
+            counts those of validation too.
+    """
+
+    input_names: ClassVar[tuple[str, ...]] = ()
+    size: ClassVar[int] = 32
+    protocols: ClassVar[tuple[str, ...]]
+    counts: ClassVar[Mapping[str, Mapping[str, int]]]
+
+    @abc.abstractmethod
+    def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
+        """The trajectories of these numbers; each depends on its number, the protocol and the size only."""
+
+    @abc.abstractmethod
+    def group(self, frames: int, size: str, images: bool) -> int:
+        """How many consecutive numbers are best recorded at once, with their pictures or without."""
+
+    @abc.abstractmethod
+    def pictures(self, recording: Recording) -> Pictures:
+        """The pictures of a recording, `image` uint8 `[N, T, size, size, 3]`."""
+
+
+class AbstractDrawnSystem(AbstractSampledSystem):
+    """A system whose picture is a pure JAX function of state and parameters, and whose state has a derivative.
+
+    `seen`, `draw` and `derivative` act on one state; parameters are those of one trajectory, without `N`.
+
+    Attributes:
+        renderer: what draws its pictures.
+        renderer_version: changes when the same state would give another picture.
+    """
+
+    renderer: ClassVar[str]
+    renderer_version: ClassVar[int]
+
+    @abc.abstractmethod
+    def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
+        """What of the state a picture shows, for example where discs are. Smaller than the state, or as large."""
+
+    @abc.abstractmethod
+    def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+        """The picture, values in [0, 1]."""
+
+    @abc.abstractmethod
+    def derivative(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
+        """The state's derivative in time, all forces included."""
+
+    @abc.abstractmethod
+    def conserved(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, ""]:
+        """What would stay constant along a trajectory without friction, for example the energy."""
+
+    def picture(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+        """The picture of a state."""
+        return self.draw(self.seen(state, parameters), parameters)
+
+    def pictures(self, recording: Recording) -> Pictures:
+        """What is seen is computed in float64, its pictures in float32."""
+        seen = self.all_seen(recording.state, recording.parameters)
+        constants = in_single_precision(recording.parameters)
+        image = np.empty((*seen.shape[:2], self.size, self.size, 3), np.uint8)
+        for i in range(len(seen)):
+            image[i] = _draw_frames(self.draw, seen[i], {name: value[i] for name, value in constants.items()})
+        return Pictures(image, self.renderer)
+
+    def all_seen(
+        self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "N T m"]:
+        """`seen` of all states, computed in float64, as float32."""
+        return map_states(self.seen, state, parameters).astype(np.float32)
+
+    def derivatives(
+        self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "N T d"]:
+        """`derivative` of all states, in float64."""
+        return map_states(self.derivative, state, parameters)
+
+    def all_conserved(
+        self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
+    ) -> Float[np.ndarray, "N T"]:
+        """`conserved` of all states, in float64."""
+        return map_states(self.conserved, state, parameters)
+
+
+def no_keypoints(name: str) -> KeycldError:
+    """The error for a set that suggests none."""
+    return KeycldError(f"{name} suggests no keypoints: give your own with --constraints FILE.toml (docs/data.md).")
+
+
+def numbers_only(parameters: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Parameters without texts."""
+    return {name: value for name, value in parameters.items() if value.dtype.kind in "fiu"}
+
+
+def in_single_precision(parameters: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Parameters without texts, with 32 bits a number."""
+    kinds: dict[str, Any] = {"f": np.float32, "i": np.int32, "u": np.int32}
+    return {name: value.astype(kinds[value.dtype.kind]) for name, value in numbers_only(parameters).items()}
+
+
+@partial(jax.jit, static_argnums=0)
+def _draw_frames(draw, seen, parameters):
+    return jax.vmap(lambda one: to_bytes(draw(one, parameters)))(seen)
+
+
+@partial(jax.jit, static_argnums=0)
+def _map_states(function, state, parameters):
+    return jax.vmap(jax.vmap(function, (0, None)))(state, parameters)
+
+
+def map_states(
+    function: Any, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
+) -> Float[np.ndarray, "N T *m"]:
+    """A function of one state and its trajectory's parameters, applied to all, in float64."""
+    with jax.enable_x64(True):
+        return in_lanes(partial(_map_states, function), state, numbers_only(parameters))
+
+
+def in_lanes(function: Any, *arrays: Any, lanes: int = _LANES) -> np.ndarray:
+    """`function` of arrays with a common first axis, `lanes` rows at a time, the last ones filled up.
+
+    So one compiled program serves every number of rows up to a power of two.
+    """
+    rows = len(jax.tree.leaves(arrays)[0])
+    lanes = min(lanes, 2 ** math.ceil(math.log2(max(rows, 1))))
+    done = []
+    for first in range(0, rows, lanes):
+        block = jax.tree.map(lambda array, first=first: _filled(array[first : first + lanes], lanes), arrays)
+        done.append(np.asarray(function(*block))[: rows - first])
+    return np.concatenate(done)
+
+
+def _filled(block: np.ndarray, lanes: int) -> np.ndarray:
+    missing = lanes - len(block)
+    return np.concatenate([block, np.repeat(block[-1:], missing, axis=0)]) if missing else block

@@ -1,0 +1,124 @@
+"""The bench's child process with data, training and scores replaced by quick ones, which note what they did.
+
+`python bench_stub.py PARENT EXPERIMENT ROOT RESULTS`, as `keycld.benchmarks.child`. The file ROOT/behaviour.json may
+say for an experiment's name what happens in the middle of its training: `raise`, `kill`, `hang`.
+"""
+
+import json
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+
+from keycld import KeycldError
+from keycld.benchmarks import child
+from keycld.benchmarks.results import condense, write_json
+from keycld.evaluation import Evaluation, save_evaluation, statistics
+
+STEPS = 4
+
+
+def note(place, words):
+    with (place.root / "notes.txt").open("a") as file:
+        file.write(words + "\n")
+
+
+def notes(root):
+    path = root / "notes.txt"
+    return path.read_text().splitlines() if path.exists() else []
+
+
+def make_data(experiment, place):
+    folder = place.data(experiment)
+    if not (folder / "statistics.json").exists():
+        note(place, f"data {folder.name}")
+        folder.mkdir(parents=True)
+        write(folder / "statistics.json", {"splits": {"train": {"sha256": "abc"}}, "recipe": {"system": folder.name}})
+
+
+def train_model(experiment, place):
+    run = place.run(experiment)
+    behaviour = place.root / "behaviour.json"
+    fate = json.loads(behaviour.read_text()).get(experiment.name) if behaviour.exists() else None
+    if not (run / "config.json").exists():
+        begin(experiment, run)
+    (run / "checkpoints").mkdir(exist_ok=True)
+    for step in range(STEPS):
+        if not (run / "checkpoints" / str(step)).exists():
+            note(place, f"step {step} of {experiment.name}")
+            (run / "checkpoints" / str(step)).touch()
+            (run / "checkpoints" / "latest").write_text(str(step))
+        if fate is not None and step == STEPS // 2:
+            meet(fate, place)
+    write(run / "metrics.jsonl", {"step": STEPS, "seconds": 60.0 + experiment.seed, "cpu_seconds": 90.0, "frames": 100})
+
+
+def begin(experiment, run):
+    write(run / "config.json", {"settings": experiment.full_settings()})
+    machine = {"processor": "stub", "cores": 2, "devices": ["cpu"], "packages": {}, "python": "3"}
+    write(run / "environment.json", {"commit": "c0ffee", **machine})
+
+
+def meet(fate, place):
+    if fate == "raise":
+        raise KeycldError("the lamp is out: switch it on.\nmore words")
+    if fate == "kill":
+        os.kill(os.getpid(), signal.SIGKILL)
+    (place.root / "hanging").touch()
+    while True:
+        time.sleep(0.05)
+
+
+def evaluate_model(experiment, place):
+    for protocol in experiment.protocols:
+        note(place, f"{protocol.name} of {experiment.name}")
+        save_evaluation(place.run(experiment), protocol.name, fake_evaluation(protocol, 0.8 + 0.1 * experiment.seed))
+
+
+def fake_evaluation(protocol, vpt, trajectories=4):
+    """Scores as `evaluate` gives them, errors that grow with time, and pictures of a shade that grows too."""
+    errors = np.geomspace(1e-5, 1e-2, protocol.horizon)[None, :] * np.linspace(0.5, 2.0, trajectories)[:, None]
+    stride = -(-protocol.horizon // 250)
+    shown = np.arange(0, protocol.horizon, stride)
+    shade = np.broadcast_to((shown % 256).astype(np.uint8)[None, :, None, None, None], (2, len(shown), 16, 16, 3))
+    summary = statistics(np.full(trajectories, vpt))
+    baselines = ("mean image", "frozen frame")
+    scores = {
+        "protocol": {"name": protocol.name, "given": protocol.given, "horizon": protocol.horizon},
+        "dt": 0.05,
+        "vpt": {f"{factor:g}": {**summary, "frames": [1] * trajectories} for factor in protocol.factors},
+        "mse": 1e-3,
+        "epsilon": 1e-3,
+        "baselines": {
+            name: {"vpt": {f"{factor:g}": {"mean": 0.2} for factor in protocol.factors}} for name in baselines
+        },
+        "masses": [1.0],
+    }
+    arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}
+    arrays["time"] = 0.05 * np.arange(protocol.horizon)
+    return Evaluation(scores, arrays)
+
+
+def record(experiment, place, vpt, seconds=60.0):
+    """A run folder and a result of that score under every protocol."""
+    run = place.run(experiment)
+    for protocol in experiment.protocols:
+        save_evaluation(run, protocol.name, fake_evaluation(protocol, vpt))
+    make_data(experiment, place)
+    begin(experiment, run)
+    write(run / "metrics.jsonl", {"seconds": seconds, "cpu_seconds": 0.0, "frames": 1})
+    result = condense(experiment, place, {"training": seconds, "evaluation": 1.0})
+    write_json(place.result(experiment), result)
+    return result
+
+
+def write(path, value):
+    path.write_text(json.dumps(value) + "\n")
+
+
+child.make_data, child.train_model, child.evaluate_model = make_data, train_model, evaluate_model
+
+if __name__ == "__main__":
+    sys.exit(child.main(sys.argv[1:]))

@@ -1,0 +1,99 @@
+"""`keycld bench` through the real command line on tiny pictures, and what it says to mistakes."""
+
+import dataclasses
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from keycld.benchmarks import suite_named
+from keycld.cli.main import main
+from keycld.data import Trajectories, make_data, write
+from keycld.data.protocols import splits
+from scenes import DT, TINY, disc_pendulum, draw
+
+SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in TINY.items()]
+ONLY = ["--only", "pendulum-node2-0", "--set", *SETTINGS]
+
+
+def finished_data(folder):
+    """Pictures of a disc in the place of the pendulum's, with the marks of a data set that is finished."""
+    plan = splits("keycld-2022")
+    for k, split in enumerate(plan):
+        count = 3 if split.name == "test_long" else 6
+        trajectories = disc_pendulum(count, 12 if split.name == "train" else split.frames, seed=k)
+        attributes = {**trajectories.attributes, "system": "pendulum"}
+        write(folder / f"{split.name}.h5", dataclasses.replace(trajectories, attributes=attributes))
+    angle = np.linspace(-np.pi, np.pi, 16)
+    parameters = {"name": np.array(["rotation"]), "vary": np.array(["angle"])}
+    parameters |= {"length": np.array([16]), "shape": np.array([[16, 1]])}
+    state = np.stack([angle, 0 * angle], axis=-1)[None]
+    image = draw(0.6 * np.sin(angle), -0.6 * np.cos(angle))[None]
+    still = np.zeros((1, 1), np.float32)
+    time = DT * np.arange(16)
+    sweeps = Trajectories(time, still, image, state, parameters=parameters, attributes=attributes)
+    write(folder / "sweeps.h5", sweeps)
+    recipe = {}
+    with pytest.MonkeyPatch.context() as patch:
+        # What `make_data` looks for in a folder that it would leave as it is.
+        patch.setattr("keycld.data.make._finished", lambda folder, wanted, names: recipe.update(wanted) or True)
+        make_data("pendulum", folder)
+    found = {split.name: {"sha256": split.name} for split in plan}
+    (folder / "statistics.json").write_text(json.dumps({"splits": found, "recipe": recipe}))
+
+
+def keycld(*arguments, folder):
+    command = [sys.executable, "-m", "keycld.cli.main", *map(str, arguments)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
+    folder = tmp_path / "data" / "pendulum"
+    folder.mkdir(parents=True)
+    finished_data(folder)
+    answer = keycld("bench", "run", "keycld", *ONLY, folder=tmp_path)
+    assert answer.returncode == 0, answer.stdout + answer.stderr
+    assert "done  VPT 0." in answer.stdout and answer.stdout.strip().endswith("1 done")
+    (path,) = (tmp_path / "results" / "keycld").rglob("*.json")
+    result = json.loads(path.read_text())
+    (experiment,) = suite_named("keycld").select(only="pendulum-node2-0", models=["node2"], settings=TINY)
+    assert result["config_hash"] == experiment.hash() and path.parent.name == experiment.group.split("/")[1]
+    assert result["settings"]["joint_steps"] == TINY["joint_steps"] and result["training"]["frames"] > 0
+    assert set(result["scores"]) == {"test@50", "validation@50", "test_long@200", "test_long@500"}
+
+    before = path.stat().st_mtime_ns
+    again = keycld("bench", "run", "keycld", *ONLY, folder=tmp_path)
+    assert again.returncode == 0 and "1 experiments, 1 done, 0 to do" in again.stdout
+    assert path.stat().st_mtime_ns == before
+
+    monkeypatch.chdir(tmp_path)
+    for verb in ("status", "table", "figures", "report"):
+        assert main(["bench", verb, "keycld", *ONLY]) == 0
+    printed = capsys.readouterr().out
+    assert "pendulum-node2-0  done" in printed and "paper: NODE2" in printed and "movie-pendulum-test@50.mp4" in printed
+    page = tmp_path / "runs" / experiment.group / "report.html"
+    assert "</html>" in page.read_text() and str(page.relative_to(tmp_path)) in printed
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["run", "keycl"], ["unknown suite", "did you mean 'keycld'"]),
+        (["status", "keycld", "--models", "fcc"], ["did you mean 'fc'"]),
+        (["table", "keycld", "--systems", "pendulum,acrobat"], ["did you mean 'acrobot'"]),
+        (["status", "keycld", "--seeds", "0,x"], ["whole numbers", "'x'"]),
+        (["run", "keycld", "--preset", "fats"], ["did you mean 'fast'"]),
+        (["run", "keycld", "--set", "joint_step=2"], ["did you mean 'joint_steps'"]),
+        (["status", "keycld", "--only", "pendulum-fx-0"], ["did you mean 'pendulum-fc-0'"]),
+        (["stauts", "keycld"], ["did you mean 'status'"]),
+    ],
+)
+def test_mistakes_get_one_sentence_and_code_two(monkeypatch, capsys, tmp_path, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", *arguments]) == 2
+    message = capsys.readouterr().err
+    assert message.startswith("keycld: ") and all(word in message for word in words), message
+    assert not any(os.scandir(tmp_path))

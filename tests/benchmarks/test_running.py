@@ -1,0 +1,130 @@
+"""Real processes: kills, failures, two at once. Data, training and scores are stubs that note what they did."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import bench_stub
+import pytest
+
+from keycld.benchmarks import Place, run_experiments, status_of, suite_named
+from keycld.benchmarks.lock import holder, locked
+
+STUB = [sys.executable, str(Path(__file__).with_name("bench_stub.py"))]
+DRIVER = """
+import sys
+from pathlib import Path
+from keycld.benchmarks import Place, run_experiments, suite_named
+experiments = suite_named("keycld").select(systems=["pendulum"], models=["keycld"])
+run_experiments(experiments, Place(Path(sys.argv[1]), Path(sys.argv[2])), child=sys.argv[3:])
+"""
+
+
+def experiments(**choice):
+    return suite_named("keycld").select(systems=["pendulum"], models=["keycld"], **choice)
+
+
+@pytest.fixture
+def place(tmp_path):
+    return Place(tmp_path, tmp_path / "results")
+
+
+def behave(place, **fates):
+    bench_stub.write(place.root / "behaviour.json", {name.replace("_", "-"): fate for name, fate in fates.items()})
+
+
+def wait_until(condition):
+    deadline = time.monotonic() + 120
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_killed_in_the_middle_and_started_again_repeats_nothing(place):
+    """kill -9 of `bench run` while the second of three experiments trains."""
+    behave(place, pendulum_keycld_1="hang")
+    driver = [sys.executable, "-c", DRIVER, str(place.root), str(place.results), *STUB]
+    process = subprocess.Popen(driver, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_until((place.root / "hanging").exists)
+    _, second, third = experiments()
+    lock = holder(place.run(second) / "bench.lock")
+    assert lock is not None and lock.pid != process.pid
+    assert [status_of(each, place).word for each in experiments()] == ["done", "running", "missing"]
+    os.kill(process.pid, signal.SIGKILL)
+    process.wait()
+    # The experiment's own process ends with it, so that nothing is half alive.
+    wait_until(lambda: holder(place.run(second) / "bench.lock") is None)
+    assert status_of(second, place).word == "missing" and "interrupted" in status_of(second, place).detail
+
+    behave(place)
+    lines = []
+    assert run_experiments(experiments(), place, child=STUB, say=lines.append) == {"done": 3}
+    assert lines[0].startswith("3 experiments, 1 done, 2 to do, about 0 min") and len(lines) == 3
+    assert "VPT 0.900" in lines[1] and "left" in lines[1] and "left" not in lines[2]
+    done = bench_stub.notes(place.root)
+    expected = ["data pendulum"]
+    for experiment in experiments():
+        expected += [f"step {k} of {experiment.name}" for k in range(bench_stub.STEPS)]
+        expected += [f"{protocol.name} of {experiment.name}" for protocol in experiment.protocols]
+    assert done == expected  # each piece of work once, and none is missing
+
+    run_experiments(experiments(), place, child=STUB, say=lines.append)
+    assert bench_stub.notes(place.root) == done
+    # A result counts without its run folder.
+    place.run(third).rename(place.root / "elsewhere")
+    assert status_of(third, place).word == "done"
+
+
+def test_a_failure_is_recorded_and_the_rest_goes_on(place):
+    behave(place, pendulum_keycld_0="raise", pendulum_keycld_1="kill")
+    assert run_experiments(experiments(), place, child=STUB, say=str) == {"failed": 2, "done": 1}
+    raised, killed, _ = (status_of(each, place).detail for each in experiments())
+    assert raised == "KeycldError during training: the lamp is out: switch it on."
+    assert killed.startswith("SIGKILL") and "memory" in killed
+    behave(place)
+    assert run_experiments(experiments(seeds=[0, 1]), place, child=STUB, say=str) == {"done": 2}
+    assert sum(line.startswith("step") for line in bench_stub.notes(place.root)) == 3 * bench_stub.STEPS
+    assert not list(place.results.rglob("*.failed.json"))
+
+
+def test_two_at_once_do_not_take_the_same_experiment(place):
+    first, *_ = experiments()
+    lines = []
+    with locked(place.run(first) / "bench.lock"):
+        # As `bench run` sees it, and as its child does if the other was a moment faster.
+        counts = run_experiments([first], place, child=STUB, say=lines.append)
+        late = [*STUB, str(os.getpid()), first.to_json(), str(place.root), str(place.results)]
+        assert subprocess.run(late, check=False).returncode == 75
+    assert counts == {"running": 1} and f"process {os.getpid()}" in lines[1]
+    assert bench_stub.notes(place.root) == []
+
+
+def test_a_run_of_other_settings_is_moved_aside(place):
+    (changed,) = experiments(seeds=[0])
+    folder = place.run(changed)
+    (folder / "checkpoints").mkdir(parents=True)
+    (folder / "bench.json").write_text(json.dumps({"config_hash": "0123", "seconds": {}}))
+    (folder / "checkpoints" / "latest").write_text("00-old")
+    (folder.with_name("pendulum-keycld-0.0123")).mkdir()  # from the time before
+    run_experiments([changed], place, child=STUB, say=str)
+    assert (folder.with_name("pendulum-keycld-0.0123.1") / "checkpoints" / "latest").read_text() == "00-old"
+    assert status_of(changed, place).word == "done"
+
+
+def test_a_lock_ends_with_its_holder(tmp_path):
+    path = tmp_path / "a" / "lock"
+    assert holder(path) is None
+    with locked(path) as mine, locked(path) as second:
+        assert mine and not second
+        found = holder(path)
+        assert found is not None and found.pid == os.getpid() and found.silent < 60
+    assert holder(path) is None
+    # What a killed process leaves: its number in the file, and no lock.
+    path.write_text(json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename, "since": 0.0}))
+    assert holder(path) is None
+    with locked(path) as mine:
+        assert mine

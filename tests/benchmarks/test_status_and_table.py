@@ -1,0 +1,159 @@
+"""Which results count, and the arithmetic of the table."""
+
+import csv
+import io
+import re
+
+import pytest
+from bench_stub import record
+
+from keycld import KeycldError
+from keycld.benchmarks import (
+    Place,
+    as_csv,
+    as_markdown,
+    as_text,
+    over_seeds,
+    status_of,
+    status_table,
+    suite_named,
+    tables,
+)
+from keycld.benchmarks.experiment import Experiment
+from keycld.benchmarks.results import read_json, write_json
+
+
+@pytest.fixture
+def place(tmp_path):
+    return Place(tmp_path, tmp_path / "results")
+
+
+def select(**choice):
+    return suite_named("keycld").select(**choice)
+
+
+def test_the_suites():
+    """Three systems, four models, three seeds; and the eight configurations of the journal version."""
+    names = [experiment.name for experiment in select()]
+    assert len(names) == len(set(names)) == 36
+    assert names[:4] == ["pendulum-keycld-0", "cartpole-keycld-0", "acrobot-keycld-0", "pendulum-keycld-nc-0"]
+    eight = suite_named("keycld-2024").select()
+    assert [experiment.data.folder for experiment in eight] == [
+        "pendulum-2024-none", "pendulum-2024-full",
+        "cartpole-2024-none", "cartpole-2024-under", "cartpole-2024-full",
+        "acrobot-2024-none", "acrobot-2024-under", "acrobot-2024-full",
+    ]  # fmt: skip
+    assert {protocol.given for experiment in eight for protocol in experiment.protocols} == {3}
+    assert {experiment.data.folder for experiment in select()} == {"pendulum", "cartpole", "acrobot"}
+
+
+def test_an_experiment_survives_being_text():
+    (experiment,) = select(only="acrobot-fc-2", settings={"joint_horizons": [8, 16]})
+    assert Experiment.from_json(experiment.to_json()) == experiment
+
+
+def test_the_hash_knows_what_decides():
+    (first,) = select(only="pendulum-keycld-0", seeds=[0], models=["keycld"])
+    others = [
+        *select(only="pendulum-keycld-1", models=["keycld"]),
+        *select(only="cartpole-keycld-0", models=["keycld"]),
+        *select(only="pendulum-fc-0"),
+        *select(only="pendulum-keycld-0", models=["keycld"], settings={"joint_steps": 7}),
+        *suite_named("keycld-2024").select(only="pendulum-full"),
+    ]
+    assert len({experiment.hash() for experiment in (first, *others)}) == 1 + len(others)
+    # A setting that is told but is the preset's own changes nothing.
+    same = first.full_settings()["joint_steps"]
+    (told,) = select(only="pendulum-keycld-0", models=["keycld"], settings={"joint_steps": same})
+    assert told.hash() == first.hash()
+
+
+def test_stale_results(place):
+    (experiment,) = select(only="pendulum-keycld-0", models=["keycld"])
+    assert status_of(experiment, place).word == "missing"
+    result = record(experiment, place, 0.9)
+    assert status_of(experiment, place).word == "done"
+    write_json(place.result(experiment), {**result, "config_hash": "0" * 16})
+    assert status_of(experiment, place)[:2] == ("stale", "recorded for another configuration")
+    fewer = {name: scores for name, scores in result["scores"].items() if name != "test_long@500"}
+    write_json(place.result(experiment), {**result, "scores": fewer})
+    assert status_of(experiment, place)[:2] == ("stale", "recorded for other protocols")
+    place.result(experiment).write_text('{"half": ')
+    found = status_of(experiment, place)
+    assert found.word == "missing" and "damaged" in found.detail
+
+
+def test_a_result_says_where_it_comes_from(place):
+    (experiment,) = select(only="cartpole-node2-1")
+    result = record(experiment, place, 0.5)
+    assert result["command"].startswith("keycld bench run keycld --only cartpole-node2-1 --seeds 1 --models node2")
+    assert result["commit"] == "c0ffee" and len(result["config_hash"]) == len(result["data_hash"]) == 16
+    assert result["scores"]["test@50"]["baselines"]["frozen frame"] == {"1": 0.2, "0.25": 0.2}
+    assert "frames" not in result["scores"]["test@50"]["vpt"]["1"]
+    curve = result["curves"]["test_long@500"]
+    assert len(curve["frame"]) == 50 and curve["frame"][-1] == 499
+    assert curve["low"][0] < curve["mean"][0] < curve["high"][0] and curve["mean"][0] == pytest.approx(1.25e-5)
+    assert read_json(place.result(experiment)) == result
+    assert place.result(experiment).stat().st_size < 16_000
+
+
+def test_mean_and_spread_over_seeds():
+    assert over_seeds([0.8, 0.9, 1.0]) == pytest.approx((0.9, 0.1, 3))  # deviations −0.1, 0, 0.1: √(0.02 / 2)
+    assert over_seeds([0.25]) == (0.25, None, 1)
+
+
+def test_the_table(place):
+    chosen = select(models=["keycld", "fc"], systems=["pendulum", "acrobot"])
+    by_name = {experiment.name: experiment for experiment in chosen}
+    for seed, vpt in ((0, 0.8), (1, 0.9), (2, 1.0)):
+        record(by_name[f"pendulum-keycld-{seed}"], place, vpt, seconds=60.0 * (seed + 1))
+    record(by_name["acrobot-keycld-0"], place, 0.5)
+    stale = record(by_name["acrobot-keycld-1"], place, 0.1)
+    write_json(place.result(by_name["acrobot-keycld-1"]), {**stale, "config_hash": "old"})
+
+    found = {table.name: table for table in tables(chosen, place)}
+    assert list(found) == [
+        "test@50", "test@50 ε/4", "validation@50", "validation@50 ε/4",
+        "test_long@200", "test_long@200 ε/4", "test_long@500", "test_long@500 ε/4", "minutes",
+    ]  # fmt: skip
+    table = found["test@50"]
+    assert table.columns == ("pendulum", "acrobot")
+    lines = [re.split(r"\s{2,}", line) for line in as_text(table).splitlines()[2:]]
+    values = {name: cells for name, *cells in lines}
+    assert values["KeyCLD"] == ["0.900 ± 0.100 (3)", "0.500 (1)"]
+    assert values["FC"] == ["–", "–"]
+    assert values["mean image"] == ["0.200", "0.200"]
+    assert values["paper: KeyCLD"] == ["0.38", "1.00"] and values["paper: NODE2"] == ["0.12", "0.44"]
+    assert not any("paper" in row.name for row in found["test_long@200"].rows)
+    assert found["minutes"].rows[0].cells[0] == pytest.approx((2.0, 1.0, 3))
+    assert "| KeyCLD | 0.900 ± 0.100 (3) | 0.500 (1) |" in as_markdown(table)
+    rows = list(csv.DictReader(io.StringIO(as_csv(tuple(found.values())))))
+    (cell,) = (row for row in rows if (row["table"], row["row"], row["column"]) == ("test@50", "KeyCLD", "pendulum"))
+    assert float(cell["mean"]) == pytest.approx(0.9) and cell["n"] == "3"
+
+    text = status_table(chosen, place)
+    assert "pendulum-keycld-1  done     0.900      2.0" in text
+    assert "acrobot-keycld-1   stale" in text and "acrobot-fc-2       missing" in text
+
+
+def test_the_journal_version_has_no_published_rows(place):
+    chosen = suite_named("keycld-2024").select(only="cartpole")
+    record(chosen[0], place, 0.9)
+    table = tables(chosen, place)[0]
+    assert table.columns == ("cartpole-none", "cartpole-under", "cartpole-full")
+    assert [row.kind for row in table.rows] == ["ours", "trivial", "trivial"]
+
+
+@pytest.mark.parametrize(
+    ("choice", "words"),
+    [
+        ({"models": ["nod2"]}, "did you mean 'node2'"),
+        ({"systems": ["pendlum"]}, "did you mean 'pendulum'"),
+        ({"preset": "fats"}, "did you mean 'fast'"),
+        ({"settings": {"joint_step": 3}}, "did you mean 'joint_steps'"),
+        ({"only": "acrobot-node3-0"}, "did you mean 'acrobot-node2-0'"),
+    ],
+)
+def test_mistakes_name_the_nearest_choice(choice, words):
+    with pytest.raises(KeycldError, match=words):
+        select(**choice)

@@ -1,0 +1,62 @@
+"""A model of the MuJoCo pendulum that needs no training: it sees the orange rod and knows the physics."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from true_physics import truth
+
+from keycld.control import Plant
+from keycld.mechanics import MechanicalDynamics, State
+from keycld.models import AbstractModel
+from keycld.systems import get
+from keycld.vision import Observation, image_grid
+
+LENGTH = 0.49
+
+
+def picture(angle=0.0):
+    """What the camera sees of the pendulum at an angle."""
+    with Plant(get("pendulum"), np.array([[angle, 0.0]]), workers=1) as plant:
+        return plant.look()[0]
+
+
+class Watcher(AbstractModel):
+    """The direction of what is orange, at the length of the rod; draws nothing but the background."""
+
+    dynamics: MechanicalDynamics
+    background: np.ndarray
+
+    context: ClassVar[int] = 2
+    reversible: ClassVar[bool] = True
+
+    @classmethod
+    def pendulum(cls):
+        two = np.stack([picture(0.0), picture(np.pi)])
+        # Where the rod is in neither of the two, both show the background.
+        background = np.where((two[0, ..., 0] > two[0, ..., 2])[..., None], two[1], two[0]) / 255.0
+        return cls(truth("pendulum").dynamics, background)
+
+    @property
+    def law(self):
+        return self.dynamics.law
+
+    def anchor(self, n):
+        return 1
+
+    def observe(self, frame):
+        weight = jnp.maximum(frame[..., 0] - frame[..., 2] - 0.05, 0.0)
+        mean = jnp.einsum("hw,hwd->d", weight, image_grid(64, 64))
+        return Observation((LENGTH * mean / (jnp.linalg.norm(mean) + 1e-9))[None], None)
+
+    def keypoints(self, state):
+        return state.coordinates.x.reshape(1, 2)
+
+    def render(self, state):
+        return jnp.asarray(self.background, jnp.float32)
+
+    def infer(self, frames, dt, u):
+        raise NotImplementedError
+
+    def rollout(self, state: State, dt, u, steps):
+        raise NotImplementedError
