@@ -71,7 +71,7 @@ TINY = {
     "joint_steps": 6,
     "joint_horizons": [6, 8],
     "long_steps": 4,
-    "long_horizons": [8],
+    "long_horizons": [6, 8],
     "later": 3,
 }
 """Settings of the `fast` preset that train in seconds."""
