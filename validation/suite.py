@@ -1,6 +1,6 @@
 """The sets of "Which priors matter?": CPU time a trajectory, scores of a still mean picture, pictures for the gallery.
 
-python validation/suite.py measure [SET ...]     results/suite.json
+python validation/suite.py measure [SET ...]     results/datasets/suite.json
 python validation/suite.py gallery [SET ...]     docs/media/suite-*.png
 """
 
@@ -101,7 +101,7 @@ def main():
         for name in options.sets or names(AbstractSampledSystem):
             picture(name)
         return
-    path = Path("results/suite.json")
+    path = Path("results/datasets/suite.json")
     result = json.loads(path.read_text()) if path.exists() else {"command": "python validation/suite.py measure"}
     for name in options.sets or names(AbstractInitialValueSystem):
         result[name] = measure(name)
