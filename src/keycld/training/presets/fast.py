@@ -141,7 +141,7 @@ class FastRecipe(AbstractRecipe):
             name="vision",
             steps=self.vision_steps,
             sampler=RandomFrames(self.vision_batch),
-            loss=VisionLoss(),
+            loss=VisionLoss(steps=self.vision_steps),
             rates={"estimator": self.vision_rate, "renderer": self.vision_rate},
             optimiser=muon,
             schedule=warmup_cosine,
