@@ -4,9 +4,11 @@ import dataclasses
 import json
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from true_physics import truth
 from watching import Watcher, picture
 
 from keycld import KeycldError
@@ -17,9 +19,11 @@ from keycld.control import (
     EnergyShaping,
     Pilot,
     PredictCorrect,
+    advance,
     check_reachable,
     goal_of,
     lagrangian_of,
+    loop,
     swing_up,
 )
 from keycld.evaluation import save_evaluation
@@ -61,6 +65,70 @@ def test_passivity_and_timing_are_reported(result):
     assert np.isfinite(scores["passivity"]["largest_rise_median"])
     assert scores["step"]["frames"] == 300 and 0 < scores["step"]["median_ms"] <= scores["step"]["p99_ms"]
     assert scores["mean_mass"] == pytest.approx(1.0, rel=0.01)
+
+
+def test_passivity_is_that_of_the_true_motion(result):
+    """The score knows keypoints, not states, yet gives the rises of T + V_d that the true law gives for MuJoCo's.
+
+    They are small: where one frame is seen wrongly, by what the controller makes of it.
+    """
+    known, flown = truth("pendulum"), result.arrays
+    controller = EnergyShaping(known.law, jnp.asarray(flown["goal"]), (0,))
+
+    @jax.jit
+    @jax.vmap
+    @jax.vmap
+    def total(state, u):
+        energies = controller.energies(*known.motion(state).coordinates, u)
+        return energies.kinetic + energies.desired
+
+    expected = np.asarray(total(jnp.asarray(flown["state"][:, :-1], float), jnp.asarray(flown["input"])))
+    np.testing.assert_allclose(flown["kinetic"] + flown["desired"], expected, atol=0.01 * expected.max())
+    rise = np.max(expected - np.minimum.accumulate(expected, axis=1), axis=1)
+    passivity = result.scores["passivity"]
+    assert passivity["largest_rise_worst"] == pytest.approx(np.max(rise / expected.max(axis=1)), abs=0.01)
+    assert passivity["largest_rise_median"] == pytest.approx(np.median(rise / expected.max(axis=1)), abs=0.01)
+    # From hanging down the bowl is this deep.
+    assert rise.max() < 0.01 * float(controller.desired_energy(-known.upright))
+    assert 0 < passivity["keypoint_error"] < 0.01
+
+
+def test_a_late_input_holds_the_last_one(pilot, monkeypatch):
+    """A clock of our own makes three steps of the first copy late; the second is never timed."""
+    late, dt, told = [2, 3, 7], 0.02, []
+
+    class Clock:
+        now, readings = 0.0, 0
+
+        @classmethod
+        def perf_counter(cls):
+            step, ends = divmod(cls.readings, 2)
+            cls.readings += 1
+            cls.now += ends * (1.5 * dt if step in late else 0.5 * dt)
+            return cls.now
+
+    def fakes(pilot):
+        chosen = iter(np.arange(-1.0, 10.0))  # the first call is for compiling only
+
+        def alone(aboard, frame, arrived, held):
+            told.append(float(held[0]))
+            return aboard, jnp.array([next(chosen)])
+
+        return alone, lambda aboard, frames, arrived, held: (aboard, held + 1.0)
+
+    monkeypatch.setattr(loop, "time", Clock)
+    monkeypatch.setattr(loop, "_compiled", fakes)
+    flight = loop.fly(pilot, get("pendulum"), np.zeros((2, 2)), 10 * dt, workers=1)
+    np.testing.assert_array_equal(np.flatnonzero(flight.missed), late)
+    np.testing.assert_allclose(flight.step_seconds, np.where(flight.missed, 1.5 * dt, 0.5 * dt))
+    np.testing.assert_array_equal(flight.input[0, :, 0], [0, 1, 1, 1, 4, 5, 6, 6, 8, 9])
+    np.testing.assert_array_equal(flight.input[1, :, 0], np.arange(1, 11))
+    # The pilot learns which input really acted, and MuJoCo got that one.
+    np.testing.assert_array_equal(told[1:], [0, 0, 1, 1, 1, 4, 5, 6, 6, 8])
+    state = np.zeros((1, 2))
+    for u in flight.input[0]:
+        state = advance(get("pendulum"), state, u[None])
+    np.testing.assert_allclose(flight.state[0, -1], state[0])
 
 
 def test_bad_pictures_degrade_and_do_not_break(model):

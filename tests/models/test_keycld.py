@@ -200,7 +200,7 @@ def test_track_loss_is_zero_on_the_models_own_motion(model):
 def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, frames, getkey):
     model = FastRecipe(width=8).model(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, index, span, frames)
-    gradient = eqx.filter_grad(lambda m: loss(m, clip, key=getkey(), step=jnp.array(5))[0])(model)
+    gradient = eqx.filter_jit(eqx.filter_grad(lambda m: loss(m, clip, key=getkey(), step=jnp.array(5))[0]))(model)
     groups = {name: jax.tree.leaves(getattr(gradient, name)) for name in ("estimator", "dynamics", "renderer")}
     moved = {name: any(bool(jnp.any(leaf != 0)) for leaf in leaves) for name, leaves in groups.items()}
     assert all(bool(jnp.all(jnp.isfinite(leaf))) for leaves in groups.values() for leaf in leaves)

@@ -15,7 +15,7 @@ def demo(
     seed: int = 0,
     set: tuple[str, ...] = (),
 ) -> None:
-    """Do everything on one system: data, training, evaluation, report. Pendulum: about a quarter of an hour.
+    """Do everything on one system: data, training, evaluation, control, report. Pendulum: about a quarter of an hour.
 
     Args:
         system: pendulum, cartpole or acrobot.
@@ -24,6 +24,7 @@ def demo(
         seed: Of the training.
         set: Settings of the preset to change, as in `keycld train`.
     """
+    from keycld.cli.control import control
     from keycld.cli.evaluate import evaluate
     from keycld.cli.making import data_for
     from keycld.cli.report import report
@@ -41,6 +42,7 @@ def demo(
     timed("data", data_for, system)
     timed("training", train, system, preset=preset, seed=seed, out=run, set=set)
     timed("evaluation", evaluate, str(run))
+    timed("control", control, str(run))
     timed("report", report, str(run))
     print("time: " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in times.items()))
     print(f"open {run / 'report.html'} in a browser")

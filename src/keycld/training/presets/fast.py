@@ -175,7 +175,6 @@ class FastRecipe(AbstractRecipe):
                 "estimator": self.joint_rate,
                 "renderer": self.joint_rate,
                 "dynamics": self.energy_rate,
-                "start": self.energy_rate,
             },
             optimiser=muon,
             schedule=warmup_cosine,
@@ -187,7 +186,7 @@ class FastRecipe(AbstractRecipe):
             name="long",
             steps=self.long_steps,
             sampler=clips(self.joint_batch, self.long_horizons, self.long_steps),
-            prepare=in_turn(cache_keypoints, share_constants, fit_dynamics),
+            prepare=in_turn(cache_keypoints, fit_dynamics),
             validate=True,
         )
         return vision, dynamics, joint, long
