@@ -64,6 +64,8 @@ def write_data(folder: Path, *, count: int = 6, frames: int = 12) -> Path:
 TINY = {
     "width": 8,
     "vision_steps": 6,
+    "candidates": 2,
+    "trial": 2,
     "vision_batch": 4,
     "dynamics_steps": 6,
     "dynamics_batch": 4,

@@ -212,6 +212,16 @@ def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, f
     assert moved == expected
 
 
+def test_vision_holds_constraints_more_and_more(getkey):
+    model = FastRecipe(width=8).model(SCENE, jax.random.key(0))
+    clip = clips(getkey(), 3, [0], 1)
+    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), steps=100))
+    for step, weight in ((0, 100.0), (50, 550.0), (100, 1000.0), (200, 1000.0)):
+        total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
+        rest = total - terms["reconstruction"] - terms["heat_map"]
+        assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02)
+
+
 def test_paper_model_predicts_with_its_adaptive_solver(paper_model, getkey):
     frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
     prediction = paper_model.predict(frames, DT, jnp.array([0.3]), 6)

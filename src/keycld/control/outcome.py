@@ -131,8 +131,8 @@ def _keypoints(flight: Flight, system: AbstractMujocoSystem) -> tuple[tuple[np.n
     """Where the model's keypoints truly were, and how fast, [N, T, 2K]; and how far the pilot believed them, rms.
 
     A keypoint lies anywhere on a moving part. The affine map from true landmarks that fits the believed positions best,
-    in the frames with something seen and all landmarks in view, says where. Believed velocities will not do: a third of a pixel of error
-    in one frame may be more kinetic energy than the system has.
+    in the frames with something seen and all landmarks in view, says where. Believed velocities will not do: a third
+    of a pixel of error in one frame may be more kinetic energy than the system has.
     """
     state = flight.state[:, :-1]
     place, rate = np.split(state, 2, axis=-1)

@@ -31,26 +31,21 @@ class AbstractLoss(eqx.Module):
 class VisionLoss(AbstractLoss):
     """Learns to see, from single frames: the picture must pass through the keypoints.
 
-    reconstruction + `heat_map` · focus + `constraint` · unevenness of Φ: drawn from shaken keypoints at first, held
-    to the constraints at last.
+    reconstruction + `heat_map` · focus + `constraint` · unevenness of Φ, the last with a growing weight.
 
     - `heat_map`: weight of the cross-entropy between each heat map and a Gaussian of width `sigma` at its own
       (stop-gradient) keypoint, which keeps the maps single-peaked (the 2024 version's loss).
     - `constraint`: weight of the unevenness of the constraint functions over the batch, at the first and at the last
-      of `steps` steps, geometric between. Only DΦ enters eq. (6), so the constants are free, but they must be
+      of `steps` steps, linear between. Only DΦ enters eq. (6), so the constants are free, but they must be
       *constants*: where the distance to the pivot changes with the angle (paper, Fig. 13b) no dynamics can follow.
       Too much at first, and a keypoint stays where it is before it has found its part; too little at the end, and it
       settles where the constraint does not hold (`docs/recipe.md` has both in figures).
-    - `jitter`: deviation of noise on the keypoints that are drawn, image-plane units; it falls to zero over the first
-      half of the steps. Shaken keypoints can tell where things are only by being far apart and moving far; still ones
-      may tell it by a thousandth of the picture, near each other, where no constraint holds them.
     - `steps`: of the stage.
     - `sigma`: image-plane units.
     """
 
     heat_map: float = 1.0
-    constraint: tuple[float, float] = (10.0, 1000.0)
-    jitter: float = 0.04
+    constraint: tuple[float, float] = (100.0, 1000.0)
     steps: int = 1000
     sigma: float = 0.05
 
@@ -62,17 +57,13 @@ class VisionLoss(AbstractLoss):
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(frames.shape[0], -1)
-        done = jnp.minimum(step / self.steps, 1.0)
-        shaken = seen.keypoints + self.jitter * jnp.maximum(1 - 2 * done, 0.0) * jax.random.normal(
-            key, seen.keypoints.shape
-        )
         terms = {
-            "reconstruction": squared_error(jax.vmap(model.renderer)(shaken), frames),
+            "reconstruction": squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
             "heat_map": _focus(seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": _unevenness(model, x),
         }
-        first, last = self.constraint
-        weight = first * (last / first) ** done
+        (first, last), done = self.constraint, jnp.minimum(step / self.steps, 1.0)
+        weight = first + (last - first) * done
         total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + weight * terms["constraint"]
         return total, terms
 

@@ -1,9 +1,11 @@
 """The one training loop: stages in order, checkpoints, metrics, resume."""
 
 import dataclasses
+import functools
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -19,6 +21,8 @@ from keycld.training.step import Progress, begin, diagnose, make_step
 from keycld.training.trackers import Tracker
 
 Validate = Callable[[AbstractModel], dict[str, float]]
+# (rest, data), progress → progress, terms: so many steps in one dispatch.
+Run = Callable[[tuple[Any, Resident], Progress], tuple[Progress, dict[str, Any]]]
 
 
 @dataclasses.dataclass
@@ -40,7 +44,7 @@ class _Clock:
 
 
 def train_stages(
-    model: AbstractModel,
+    fresh: Callable[[int], AbstractModel],
     stages: tuple[Stage, ...],
     data: Resident,
     folder: Path,
@@ -57,7 +61,10 @@ def train_stages(
 
     A checkpoint holds weights, optimiser state, the cached keypoints and the step. The randomness of a step is
     a function of seed, stage and step number, so a resumed run takes the same steps, bit for bit.
+
+    `fresh(k)` is an untrained model with its k-th random weights.
     """
+    model = fresh(0)
     for stage in stages:
         stage.sampler.check(data)
     first, step, clock = 0, 0, _Clock()
@@ -103,21 +110,21 @@ def train_stages(
 
     for number in range(first, len(stages)):
         stage = stages[number]
-        if progress is None and stage.prepare is not None:
-            model, data = stage.prepare(model, data)
-        started, rest = begin(stage, model)
-        current = started if progress is None else progress
-        runs: dict[int, Callable] = {}
-        done = int(current.step)
+        compiled = functools.cache(functools.partial(make_step, stage, number, seed, model))
+        models = []
+        if progress is not None:
+            current, (_, rest) = progress, begin(stage, model)
+        else:
+            models = [model] if stage.candidates == 1 else [model, *map(fresh, range(1, stage.candidates))]
+            current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
+        per_step, done = _frames(stage, data), int(current.step)
+        clock.frames += per_step * done * len(models)
         bar = Bar(stage.name, stage.steps, start=done)
-        per_step = _frames(stage, data)
         saved, pending = time.monotonic(), []
         logged_at, logged_frames = time.monotonic(), clock.frames
         while done < stage.steps:
             chunk = min(steps_per_dispatch, stage.steps - done)
-            if chunk not in runs:
-                runs[chunk] = make_step(stage, number, seed, model, chunk)
-            current, terms = runs[chunk]((rest, data), current)
+            current, terms = compiled(chunk)((rest, data), current)
             pending.append(terms)
             done += chunk
             clock.frames += per_step * chunk
@@ -160,6 +167,27 @@ def train_stages(
         progress = None
         save(number, None, model, done)
     return model
+
+
+def _best(
+    stage: Stage, models: list[AbstractModel], data: Resident, compiled: Callable[[int], Run], steps_per_dispatch: int
+) -> tuple[Progress, Any, Resident]:
+    """The stage's first state; with several models, of the one whose loss is lowest after the stage's trial."""
+    found = []
+    for model in models:
+        prepared, seen = (model, data) if stage.prepare is None else stage.prepare(model, data)
+        progress, rest = begin(stage, prepared)
+        if len(models) == 1:
+            return progress, rest, seen
+        losses, trial = [], min(stage.trial, stage.steps)
+        while (done := int(progress.step)) < trial:
+            progress, terms = compiled(min(steps_per_dispatch, trial - done))((rest, seen), progress)
+            losses.extend(np.asarray(terms["loss"]))
+        # The last third: one batch says little.
+        score = float(np.mean(losses[-(trial // 3) :]))
+        found.append((score if np.isfinite(score) else np.inf, progress, rest, seen))
+    _, progress, rest, seen = min(found, key=lambda candidate: candidate[0])
+    return progress, rest, seen
 
 
 def _frames(stage: Stage, data: Resident) -> int:

@@ -32,6 +32,8 @@ class Stage:
     - `clip`: largest global norm of a gradient; larger ones are shortened to it. None: unlimited.
     - `prepare`: changes the model and adds to the resident data before the first step (statistics, cached
       keypoints, a least-squares start).
+    - `candidates`, `trial`: in a first stage, how many random starts are tried for that many steps; the one with the
+      lowest loss goes on from there.
     - `validate`: score the validation set when the stage has ended.
     """
 
@@ -44,6 +46,8 @@ class Stage:
     schedule: Callable[[float, int], optax.Schedule] = lambda rate, steps: optax.constant_schedule(rate)
     clip: float | None = None
     prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
+    candidates: int = 1
+    trial: int = 0
     validate: bool = False
 
     def groups(self, model: eqx.Module) -> Any:

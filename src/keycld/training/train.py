@@ -92,7 +92,7 @@ def train(
     tracker = make_tracker(track, folder, dataclasses.asdict(config))
     try:
         return train_stages(
-            recipe.model(scene, jax.random.key(seed), model),
+            lambda k: recipe.model(scene, jax.random.fold_in(jax.random.key(seed), k), model),
             stages,
             resident,
             folder,

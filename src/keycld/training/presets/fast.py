@@ -52,6 +52,7 @@ class FastRecipe(AbstractRecipe):
     - `substeps`: RATTLE steps a frame.
     - `coupled_masses`: a full mass matrix between keypoints, for links whose mass is spread out, instead of eq. (14).
     - `shared_constants`: all trajectories show one machine with one set of lengths; false: each has its own.
+    - `candidates`, `trial`: random starts of the vision stage that are tried for so many steps; the best goes on.
     - `*_steps`, `*_batch`, `*_rate`: of each stage.
     - `given`: frames that a prediction starts from; 3 in the 2024 protocol.
     - `later`: later frames drawn a clip. `*_horizons`: frames that a clip spans, growing during the stage.
@@ -64,6 +65,8 @@ class FastRecipe(AbstractRecipe):
     coupled_masses: bool = True
     shared_constants: bool = True
     vision_steps: int = 1000
+    candidates: int = 3
+    trial: int = 200
     vision_batch: int = 16
     vision_rate: float = 1e-2
     dynamics_steps: int = 600
@@ -75,7 +78,7 @@ class FastRecipe(AbstractRecipe):
     long_steps: int = 4000
     long_horizons: tuple[int, ...] = (32, 50)
     joint_batch: int = 2
-    joint_rate: float = 5e-3
+    joint_rate: float = 2e-3
     energy_rate: float = 1e-3
     later: int = 6
     given: int = 2
@@ -147,6 +150,8 @@ class FastRecipe(AbstractRecipe):
             schedule=warmup_cosine,
             clip=1e3,
             prepare=measure_statistics,
+            candidates=self.candidates,
+            trial=self.trial,
         )
         # Affine energies and inputs first: with noisy keypoints the perceptrons would learn the noise.
         frozen = {} if kind == "node2" else {f"dynamics.law.{part}.perceptron": 0.0 for part in _AFFINE}
@@ -186,7 +191,7 @@ class FastRecipe(AbstractRecipe):
             name="long",
             steps=self.long_steps,
             sampler=clips(self.joint_batch, self.long_horizons, self.long_steps),
-            prepare=in_turn(cache_keypoints, fit_dynamics),
+            prepare=in_turn(cache_keypoints, share_constants, fit_dynamics),
             validate=True,
         )
         return vision, dynamics, joint, long

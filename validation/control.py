@@ -1,0 +1,216 @@
+"""Control from pixels, measured: energy shaping, its rivals, too few or too weak inputs, bad pictures, imagination.
+
+python validation/control.py NAME RUN [--only EXPERIMENT ...]     results/control/NAME.json
+
+RUN is a run folder or a trained model of the package. An experiment that is already in the file, of the same weights
+and with the same settings, is skipped: kill it at any moment and give the same command again. Times are of a machine
+that does nothing else, or mean little: the load is stored beside them.
+"""
+
+import argparse
+import dataclasses
+import hashlib
+import json
+import math
+import os
+import sys
+import time
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keycld.benchmarks.results import read_json, write_json
+from keycld.cli.control import _epsilon, _Shown, _summary
+from keycld.control import Assignment, Disturbance, Imagination, Plant, goal_of, swing_up
+from keycld.control.outcome import HOLD
+from keycld.control.swing_up import upright_picture
+from keycld.systems import get
+from keycld.training import environment, load_run, run_folder
+
+# The inputs of `under`: too weak to lift, or one for two degrees of freedom.
+UNDER = {
+    "pendulum": {"limit": 1.0},
+    "cartpole": {"limit": 3.0, "actuators": ("force",)},
+    "acrobot": {"limit": 3.0, "actuators": ("elbow_torque",)},
+}
+ROLL_OUTS, STEPS, REPEATS = (1, 100, 10_000), 100, 5
+
+
+def assignments(system, seed):
+    """What is flown, by experiment."""
+    full = Assignment(starts=100, seconds=10.0, kp=5.0, kd=2.0, seed=seed)
+    few = dataclasses.replace(full, starts=25)
+    under = Assignment(law="mpc", starts=50, seconds=20.0, seed=seed, **UNDER[system])
+    return {
+        "full": full,
+        "clipped3": dataclasses.replace(full, limit=3.0),
+        "paper": dataclasses.replace(full, law="paper"),
+        "differences": dataclasses.replace(full, observer="differences"),
+        "under": under,
+        "under-zero": dataclasses.replace(under, law="zero"),
+        "under-random": dataclasses.replace(under, law="random"),
+        "noise": dataclasses.replace(few, disturbance=Disturbance(noise=0.1)),
+        "dropped": dataclasses.replace(few, disturbance=Disturbance(dropped=0.2)),
+    }
+
+
+EXPERIMENTS = (*assignments("pendulum", 0), "imagination")
+
+
+def flown(model, system, epsilon, assignment, workers):
+    """The scores of one experiment, with what belongs to single starts condensed."""
+    shown = _Shown(round(assignment.seconds / system.dt))
+    result = swing_up(model, system, epsilon, None, assignment, progress=shown, workers=workers)
+    print(_summary(result.scores), flush=True)
+    scores = {name: value for name, value in result.scores.items() if name not in dataclasses.asdict(assignment)}
+    success, settled = scores.pop("success"), scores.pop("settled_seconds")
+    tilts = scores.pop("worst_tilt_last_second_degrees")
+    kept = [seconds for seconds, good in zip(settled, success, strict=True) if good]
+    return {
+        "successes": scores.pop("successes"),
+        "held_a_second": held_a_second(result),
+        "failed_starts": np.flatnonzero(~success),
+        "settled_seconds": {"median": np.median(kept), "last": np.max(kept)} if kept else None,
+        "worst_tilt_last_second_degrees": {"median": np.median(tilts), "largest": np.max(tilts)},
+        **scores,
+    }
+
+
+def held_a_second(result):
+    """Starts that keep the goal for a second at any time, and when the first of those seconds begin.
+
+    `successes` asks for the last second of the flight instead.
+    """
+    last = max(1, round(HOLD / result.scores["dt"]))
+    whole = np.lib.stride_tricks.sliding_window_view(result.arrays["good"], last, axis=1).all(axis=-1)
+    held = whole.any(axis=1)
+    # good[k] belongs to the state after frame k.
+    first = (whole.argmax(axis=1)[held] + 1) * result.scores["dt"]
+    return {
+        "successes": held.sum(),
+        "failed_starts": np.flatnonzero(~held),
+        "from_seconds_median": np.median(first) if len(first) else None,
+    }
+
+
+def imagination(model, system, epsilon, seed):
+    """Steps a second inside the model, in parallel roll-outs under random inputs, compilation apart."""
+    limit, inputs = 3.0, len(system.input_names)
+    random = np.random.RandomState(seed)
+    positions = np.stack([system.positions(random, slider_limit=1.0) for _ in range(100)])
+    with Plant(system, np.concatenate([positions, np.zeros_like(positions)], axis=1), workers=1) as plant:
+        frames = jnp.asarray(plant.look(), jnp.float32) / 255.0
+    poses = jax.jit(jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1)))(frames)
+    world = Imagination.of(model, system.dt, poses, goal_of(model, upright_picture(system), epsilon), limit)
+
+    def roll_out(key):
+        begin, push = jax.random.split(key)
+        us = jax.random.uniform(push, (STEPS, inputs), minval=-limit, maxval=limit)
+
+        def step(state, u):
+            after = world.step(state, u)
+            return after.state, after.reward
+
+        return jax.lax.scan(step, world.reset(begin), us)[1]
+
+    many, found = eqx.filter_jit(jax.vmap(roll_out)), {}
+    for count in ROLL_OUTS:
+        keys = jax.random.split(jax.random.key(seed), count)
+        rewards = jax.block_until_ready(many(keys))
+        seconds = []
+        for _ in range(REPEATS):
+            began = time.perf_counter()
+            jax.block_until_ready(many(keys))
+            seconds.append(time.perf_counter() - began)
+        found[str(count)] = {
+            "steps_per_second_best": count * STEPS / min(seconds),
+            "steps_per_second_median": count * STEPS / np.median(seconds),
+            "finite_share": np.mean(np.isfinite(rewards)),
+        }
+        print(f"imagination, {count} at once: {count * STEPS / min(seconds):.3g} steps/s", flush=True)
+    return {"steps": STEPS, "repeats": REPEATS, "limit": limit, "roll_outs": found}
+
+
+def weights_hash(model):
+    """Of the weights, so that results of two models are never mixed."""
+    leaves = jax.tree.leaves(eqx.filter(model, eqx.is_array))
+    return hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in leaves)).hexdigest()[:16]
+
+
+def plain(value):
+    """As JSON holds it, with four digits."""
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return float(f"{value:.4g}") if math.isfinite(value) else None
+    return value
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", help="of the result; the system is the run's")
+    parser.add_argument("run", help="run folder, or a trained model of the package")
+    parser.add_argument("--only", nargs="+", default=EXPERIMENTS, choices=EXPERIMENTS, metavar="EXPERIMENT")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--starts", type=int, help="of each flight, to try it out")
+    parser.add_argument("--workers", type=int, help="processes that simulate and draw; one a core unless told")
+    parser.add_argument("--out", type=Path, default=Path("results/control"))
+    options = parser.parse_args()
+
+    model, config = load_run(run_folder(options.run))
+    system, epsilon = get(config.system), _epsilon(model, config)
+    path, weights = options.out / f"{options.name}.json", weights_hash(model)
+    kept = read_json(path) or {}
+    if kept.get("weights") not in (None, weights):
+        print(f"{path} is of other weights and is begun anew", file=sys.stderr)
+        kept = {}
+    experiments = kept.get("experiments", {})
+    planned = assignments(config.system, options.seed)
+    if options.starts is not None:
+        planned = {name: dataclasses.replace(each, starts=options.starts) for name, each in planned.items()}
+
+    for name in [each for each in EXPERIMENTS if each in options.only]:
+        settings = dataclasses.asdict(planned[name]) if name in planned else {"seed": options.seed}
+        settings = json.loads(json.dumps(settings))
+        if experiments.get(name, {}).get("settings") == settings:
+            print(f"{name}: done before", flush=True)
+            continue
+        print(f"{name}:", flush=True)
+        began = time.monotonic()
+        if name in planned:
+            scores = flown(model, system, epsilon, planned[name], options.workers)
+        else:
+            scores = imagination(model, system, epsilon, options.seed)
+        machine = environment()
+        experiments[name] = {
+            "settings": settings,
+            "scores": plain(scores),
+            "commit": machine["commit"],
+            "seconds": round(time.monotonic() - began, 1),
+            "load": round(os.getloadavg()[0], 2),
+            "cores_allowed": len(os.sched_getaffinity(0)),
+        }
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_json(
+            path,
+            {
+                "command": f"python validation/control.py {options.name} {options.run} --seed {options.seed}",
+                "system": config.system,
+                "run": {"model": config.model, "preset": config.preset, "seed": config.seed},
+                "weights": weights,
+                "seed": options.seed,
+                "machine": {key: machine[key] for key in ("processor", "cores", "devices", "packages", "python")},
+                "experiments": {each: experiments[each] for each in EXPERIMENTS if each in experiments},
+            },
+        )
+
+
+if __name__ == "__main__":
+    main()
