@@ -4,8 +4,8 @@ python validation/same_start.py RUN [--data FOLDER] [--split test_long]     resu
 
 Where physics is chaotic, a prediction ends when the error of its start has grown, however good its dynamics are. The
 model's start is read as a true state through the probe (positions of its first two predicted frames, their difference
-as velocity); the error is what it differs from the same difference of true states. MuJoCo then moves from the true state
-plus that error, is drawn, and scored as a prediction.
+as velocity); the error is what it differs from the same difference of true states. MuJoCo then moves from the true
+state plus that error, is drawn, and scored as a prediction.
 """
 
 import argparse
