@@ -16,6 +16,15 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
+@pytest.fixture(autouse=True, scope="module")
+def few_programs():
+    """Compiled programs take several memory maps each, and a process may have 65,530: beyond that it dies."""
+    yield
+    maps = Path("/proc/self/maps")
+    if maps.exists() and len(maps.read_bytes().splitlines()) > 15_000:
+        jax.clear_caches()
+
+
 @pytest.fixture
 def getkey():
     """A function that gives a fresh random key at each call, the same ones in every run."""
