@@ -70,7 +70,6 @@ def flight_figure(result: Evaluation) -> Figure:
     panels += [(f"input: {name}", [Curve(time, inputs[:, k], "", INK.two)]) for k, name in enumerate(acting)]
     if "desired" in result.arrays:
         kinetic, desired = result.arrays["kinetic"][0], result.arrays["desired"][0]
-        # In the first frames the velocity is not known yet.
-        curves = [Curve(time[2:], (kinetic + desired)[2:], "", INK.one), Curve(time[2:], desired[2:], "", INK.four)]
+        curves = [Curve(time, kinetic + desired, "", INK.one), Curve(time, desired, "", INK.four)]
         panels.append(("T + V_d, and V_d alone", curves))
     return panels_figure(panels, "seconds", columns=min(3, len(panels)), panel_size=(3.2, 2.2))
