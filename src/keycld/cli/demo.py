@@ -42,7 +42,8 @@ def demo(
     timed("data", data_for, system)
     timed("training", train, system, preset=preset, seed=seed, out=run, set=set)
     timed("evaluation", evaluate, str(run))
-    timed("control", control, str(run))
+    # Of the random starts one that hangs, on the pendulum: −3.08 rad.
+    timed("control", control, str(run), seed=9)
     timed("report", report, str(run))
     print("time: " + ", ".join(f"{name} {seconds:.0f} s" for name, seconds in times.items()))
     print(f"open {run / 'report.html'} in a browser")
