@@ -72,7 +72,7 @@ TINY = {
     "dynamics_horizons": [5, 6],
     "joint_steps": 6,
     "joint_horizons": [6, 8],
-    "long_steps": 4,
+    "long_steps": 6,
     "long_horizons": [6, 8],
     "later": 3,
 }

@@ -47,7 +47,7 @@ def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
     for expected, found in zip(leaves(model), leaves(resumed), strict=True):
         np.testing.assert_array_equal(found, expected)
     steps = [json.loads(line)["step"] for line in (run / "metrics.jsonl").read_text().splitlines()]
-    assert steps == sorted(steps) and steps[-1] == 22
+    assert steps == sorted(steps) and steps[-1] == 24
 
 
 def test_a_finished_run_loads_without_its_data(whole):

@@ -1,5 +1,6 @@
 """One optimiser step, and several in one dispatch, as a compiled function without Python in the loop."""
 
+import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -46,9 +47,11 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
     fast kernels (measured twenty times slower). On a GPU several steps hide the launch.
     """
     transformation = stage.transformation(model)
-    clip_key, loss_key = step_keys(seed, number)
+    # Arguments, not constants of the program: another seed, or a stage that differs in nothing else, need not compile.
+    keys = step_keys(seed, number)
 
-    def one(progress: Progress, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
+    def one(progress: Progress, keys: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
+        clip_key, loss_key = keys
         clips = stage.sampler(data, clip_key, progress.step)
 
         def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
@@ -64,14 +67,14 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
         parameters, optimiser, step = kept
         return Progress(parameters, optimiser, step, healthy), {"loss": loss, **terms}
 
-    def run(fixed: tuple[Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
-        rest, data = fixed
+    @functools.partial(eqx.filter_jit, donate="all-except-first")
+    def run(fixed: tuple[Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
         if steps == 1:
-            progress, terms = one(progress, rest, data)
+            progress, terms = one(progress, *fixed)
             return progress, jax.tree.map(lambda term: term[None], terms)
-        return jax.lax.scan(lambda carry, _: one(carry, rest, data), progress, length=steps)
+        return jax.lax.scan(lambda carry, _: one(carry, *fixed), progress, length=steps)
 
-    return eqx.filter_jit(run, donate="all-except-first")
+    return lambda fixed, progress: run((keys, *fixed), progress)
 
 
 def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
