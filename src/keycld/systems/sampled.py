@@ -4,7 +4,7 @@ import abc
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -14,6 +14,9 @@ from keycld._errors import KeycldError
 from keycld.systems.base import AbstractSystem
 from keycld.systems.drawing import Pictures
 from keycld.systems.suite.soft_discs import to_bytes
+
+if TYPE_CHECKING:
+    import keycld.mechanics
 
 RELEASED, PAPER = "priors-released", "priors-paper"
 _LANES = 1024
@@ -45,6 +48,7 @@ class AbstractSampledSystem(AbstractSystem):
 
     input_names: ClassVar[tuple[str, ...]] = ()
     size: ClassVar[int] = 32
+    keypoints: ClassVar[tuple[str, ...]] = ()
     protocols: ClassVar[tuple[str, ...]]
     counts: ClassVar[Mapping[str, Mapping[str, int]]]
 
@@ -59,6 +63,23 @@ class AbstractSampledSystem(AbstractSystem):
     @abc.abstractmethod
     def pictures(self, recording: Recording) -> Pictures:
         """The pictures of a recording, `image` uint8 `[N, T, size, size, 3]`."""
+
+    @property
+    def constraints(self) -> "keycld.mechanics.Constraints":
+        """None, unless a system says otherwise: few of these pictures show points that keep their distances.
+
+        Raises:
+            KeycldError: always.
+        """
+        raise _no_keypoints(self.name)
+
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """None, as there are no keypoints.
+
+        Raises:
+            KeycldError: always.
+        """
+        raise _no_keypoints(self.name)
 
 
 class AbstractDrawnSystem(AbstractSampledSystem):
@@ -122,7 +143,7 @@ class AbstractDrawnSystem(AbstractSampledSystem):
         return map_states(self.conserved, state, parameters)
 
 
-def no_keypoints(name: str) -> KeycldError:
+def _no_keypoints(name: str) -> KeycldError:
     """The error for a set that suggests none."""
     return KeycldError(f"{name} suggests no keypoints: give your own with --constraints FILE.toml (docs/data.md).")
 

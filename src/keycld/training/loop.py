@@ -108,6 +108,13 @@ def train_stages(
         tree = (model, None if progress is None else progress.optimiser, data.keypoints)
         save_checkpoint(folder, f"{number:02d}-{stages[number].name}-{step:06d}", tree, position, keep)
 
+    def record(number: int, done: int, values: dict[str, float]) -> None:
+        """One line of the log, with what the training has cost so far."""
+        step = before[number] + done
+        cost = {"seconds": round(clock.seconds, 2), "cpu_seconds": round(clock.cpu_seconds, 2), "frames": clock.frames}
+        metrics.write(step=step, stage=stages[number].name, **cost, **values)
+        tracker.log(step, values)
+
     for number in range(first, len(stages)):
         stage = stages[number]
         compiled = functools.cache(functools.partial(make_step, stage, number, seed, model))
@@ -137,15 +144,7 @@ def train_stages(
                 now = time.monotonic()
                 rate = (clock.frames - logged_frames) / max(now - logged_at, 1e-9)
                 logged_at, logged_frames = now, clock.frames
-                metrics.write(
-                    step=before[number] + done,
-                    stage=stage.name,
-                    seconds=round(clock.seconds, 2),
-                    cpu_seconds=round(clock.cpu_seconds, 2),
-                    frames=clock.frames,
-                    **values,
-                )
-                tracker.log(before[number] + done, values)
+                record(number, done, values)
                 bar.show(done, rate, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
                 if now - saved > checkpoint_seconds and done < stage.steps:
                     save(number, current, eqx.combine(current.parameters, rest), done)
@@ -154,15 +153,7 @@ def train_stages(
         if stage.validate:
             scores = validate(model)
             clock.tick()
-            metrics.write(
-                step=before[number] + done,
-                stage=stage.name,
-                seconds=round(clock.seconds, 2),
-                cpu_seconds=round(clock.cpu_seconds, 2),
-                frames=clock.frames,
-                **scores,
-            )
-            tracker.log(before[number] + done, scores)
+            record(number, done, scores)
             print("validation   " + "  ".join(f"{k} {v:.3f}" for k, v in scores.items()), flush=True)
         progress = None
         save(number, None, model, done)

@@ -3,7 +3,7 @@
 import abc
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,13 +11,10 @@ from jaxtyping import Array, Float
 
 from keycld.systems.initial_values import AbstractInitialValueSystem
 from keycld.systems.registry import register
-from keycld.systems.sampled import RELEASED, no_keypoints
+from keycld.systems.sampled import RELEASED
 from keycld.systems.suite.draws import simplex
 from keycld.systems.suite.solving import solve
 from keycld.systems.suite.toy import counts_with_long
-
-if TYPE_CHECKING:
-    import keycld.mechanics
 
 _TOLERANCE = 1e-12
 
@@ -36,7 +33,6 @@ class AbstractGame(AbstractInitialValueSystem, abc.ABC):
     renderer: ClassVar[str] = "joint strategy"
     renderer_version: ClassVar[int] = 1
     counts = counts_with_long()
-    keypoints: ClassVar[tuple[str, ...]] = ()
     payoff: ClassVar[tuple[tuple[float, ...], ...]]
 
     def derivative(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
@@ -76,23 +72,6 @@ class AbstractGame(AbstractInitialValueSystem, abc.ABC):
         block = np.arange(self.size) // math.ceil(self.size / len(self.payoff))
         joint = x[block][:, None] * y[block][None, :]
         return jnp.broadcast_to(joint[:, :, None], (self.size, self.size, 3))
-
-    @property
-    def constraints(self) -> "keycld.mechanics.Constraints":
-        """None: there is nothing at a place.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise no_keypoints(self.name)
-
-    def landmarks(self, state: np.ndarray) -> np.ndarray:
-        """None.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise no_keypoints(self.name)
 
 
 @register

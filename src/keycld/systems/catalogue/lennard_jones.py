@@ -3,7 +3,7 @@
 import abc
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import jax
 import jax.numpy as jnp
@@ -11,11 +11,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld.systems.registry import register
-from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording, no_keypoints
+from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording
 from keycld.systems.suite import molecular, soft_discs
-
-if TYPE_CHECKING:
-    import keycld.mechanics
 
 _LENGTHS = {"default": molecular.Lengths(1e3, 1e3, 2.5e3), "full": molecular.Lengths(1e4, 1e4, 2.5e4)}
 # Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they do not know of each other.
@@ -46,7 +43,6 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
     renderer: ClassVar[str] = soft_discs.NAME
     renderer_version: ClassVar[int] = soft_discs.VERSION
     counts = {"default": {"train": 5_600, "test": 1_400}, "full": {"train": 50_000, "test": 20_000}}
-    keypoints: ClassVar[tuple[str, ...]] = ()
     particles: ClassVar[int]
     density: ClassVar[float]
     temperature: ClassVar[float]
@@ -98,23 +94,6 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         radii = jnp.full(self.particles, self.radius, seen.dtype)
         colours = jnp.asarray(soft_discs.hue_colours(self.particles), seen.dtype)
         return soft_discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
-
-    @property
-    def constraints(self) -> "keycld.mechanics.Constraints":
-        """None: particles that jump from border to border suit no keypoints.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise no_keypoints(self.name)
-
-    def landmarks(self, state: np.ndarray) -> np.ndarray:
-        """None.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise no_keypoints(self.name)
 
 
 @register

@@ -3,7 +3,7 @@
 import abc
 import math
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -11,11 +11,8 @@ from jaxtyping import Float
 from keycld.systems.base import Drawer
 from keycld.systems.drawing import Pictures, draw_in_worker
 from keycld.systems.registry import register
-from keycld.systems.sampled import PAPER, AbstractSampledSystem, Recording, no_keypoints
+from keycld.systems.sampled import PAPER, AbstractSampledSystem, Recording
 from keycld.systems.suite.room_scene import draw_scene, scene_vector
-
-if TYPE_CHECKING:
-    import keycld.mechanics
 
 _STEP = math.radians(0.1)
 # φ^(1/90°): the radius of a golden spiral grows by this factor a degree.
@@ -39,7 +36,6 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
     counts = {"default": {"train": 2_000, "test": 400}, "full": {"train": 50_000, "test": 20_000}}
     state_names = ("x", "y", "z", "vx", "vy", "vz")
     units = ("1", "1", "1", "1/s", "1/s", "1/s")
-    keypoints: ClassVar[tuple[str, ...]] = ()
     largest_start: ClassVar[float]
 
     @abc.abstractmethod
@@ -82,23 +78,6 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
         from keycld.systems.suite.room_scene import RoomDrawer
 
         return RoomDrawer(self.size)
-
-    @property
-    def constraints(self) -> "keycld.mechanics.Constraints":
-        """None: nothing but the camera moves.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise no_keypoints(self.name)
-
-    def landmarks(self, state: np.ndarray) -> np.ndarray:
-        """None.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise no_keypoints(self.name)
 
 
 @register
