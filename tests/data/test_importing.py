@@ -79,7 +79,7 @@ def test_constraints_come_along(video, tmp_path):
         ({"fps": 0.0}, "fps must be above 0"),
         ({"crop": (0, 0, 40, 30)}, "must be a square"),
         ({"crop": (80, 0, 32, 32)}, "does not lie inside the 96 x 64 pixels"),
-        ({"size": 30}, "multiple of 4"),
+        ({"size": 60}, "multiple of 8"),
         ({"skip": -1.0}, "skip must be"),
         ({"skip": 60.0}, "no frame after 60 s"),
         ({"validation": 0.6, "test": 0.5}, "leave some for training"),

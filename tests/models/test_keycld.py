@@ -1,3 +1,5 @@
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -6,7 +8,7 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld.data import Clip
-from keycld.mechanics import Constraints, DistanceToPoint, MLPPotential, Rattle
+from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, MLPPotential, Rattle
 from keycld.models import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
 from keycld.training.presets import FastRecipe, PaperRecipe, Scene
 
@@ -212,11 +214,17 @@ def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, f
     assert moved == expected
 
 
-def test_vision_holds_constraints_more_and_more(getkey):
-    model = FastRecipe(width=8).model(SCENE, jax.random.key(0))
+@pytest.mark.parametrize(
+    ("item", "weights"),
+    [(DistanceToPoint("a"), (100.0, 550.0, 1000.0, 1000.0)), (FixedDistance("a", "b"), (1.0, 178.0, 1000.0, 1000.0))],
+)
+def test_vision_holds_constraints_more_and_more(item, weights, getkey):
+    """Those to the world at once, those between keypoints later: 1000^(3/4) = 178 at half of the steps."""
+    scene = dataclasses.replace(SCENE, keypoints=("a", "b"), constraint=Constraints(("a", "b"), (item,)))
+    model = FastRecipe(width=8).model(scene, jax.random.key(0))
     clip = clips(getkey(), 3, [0], 1)
-    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), steps=100))
-    for step, weight in ((0, 100.0), (50, 550.0), (100, 1000.0), (200, 1000.0)):
+    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100))
+    for step, weight in zip((0, 50, 100, 200), weights, strict=True):
         total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
         rest = total - terms["reconstruction"] - terms["heat_map"]
         assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02)

@@ -28,7 +28,7 @@ class Selection:
         results: Folder of the results.
     """
 
-    suite: tyro.conf.Positional[str]
+    suite: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
     only: str = ""
     seeds: str = ""
     systems: str = ""

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 
@@ -10,7 +10,7 @@ from keycld import KeycldError
 
 
 def control(
-    run: tyro.conf.Positional[str],
+    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")],
     /,
     *,
     goal: str = "upright",
@@ -35,9 +35,9 @@ def control(
         goal: upright, or a picture (.png) of the pose to reach, as large as the training pictures.
         law: shaping (energy shaping), paper (its eq. 15 to the letter), mpc (plans a motion and tracks it: for weak or
             missing inputs), or zero or random input to compare with.
-        kp: Stiffness by mass, 1/s².
+        kp: Stiffness by mass, 1/s²; small deviations swing with √kp rad/s.
         kd: Damping by mass, 1/s.
-        limit: The largest |u|; none unless told.
+        limit: The largest |u|; none unless told. mpc and random need one; the usual training data have 3.
         actuators: The inputs that act, by name; all unless told.
         seconds: How long.
         starts: How many random starts; the first one is timed and shown.
@@ -109,13 +109,18 @@ def _epsilon(model: Any, config: Any) -> float:
 
 
 def _name(goal: str, assignment: Any) -> str:
-    """Of the result's files: what differs from the defaults."""
+    """Of the result's files: goal, law, and what else differs from the defaults, starts and seed apart."""
     words = ["control", "upright" if goal == "upright" else Path(goal).stem, assignment.law]
     words += list(assignment.actuators or ())
-    words += [] if assignment.limit is None else [f"limit{assignment.limit:g}"]
+    usual = type(assignment)()
+    words += [
+        f"{name}{getattr(assignment, name):g}"
+        for name in ("kp", "kd", "limit", "seconds")
+        if getattr(assignment, name) != getattr(usual, name)
+    ]
     words += [f"noise{assignment.disturbance.noise:g}"] if assignment.disturbance.noise else []
     words += [f"drop{assignment.disturbance.dropped:g}"] if assignment.disturbance.dropped else []
-    words += [assignment.observer] if assignment.observer != "predict-correct" else []
+    words += [assignment.observer] if assignment.observer != usual.observer else []
     return "-".join(words)
 
 
@@ -132,7 +137,7 @@ def _summary(scores: dict[str, Any]) -> str:
         passivity = scores["passivity"]
         lines.append(
             f"  T + V_d falls in {100 * passivity['falling_frames']:.0f} % of the frames, largest rise "
-            f"{100 * passivity['largest_rise_median']:.1f} % of its start (median of starts)"
+            f"{100 * passivity['largest_rise_median']:.1f} % of the flight's largest (median of starts)"
         )
     return "\n".join(lines)
 

@@ -10,7 +10,7 @@ from keycld import KeycldError
 
 
 def make(
-    system: tyro.conf.Positional[str],
+    system: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SYSTEM")],
     /,
     *,
     out: Path | None = None,
@@ -71,7 +71,7 @@ def make(
     print(f"made {made.folder} in {made.seconds:.0f} s, drawn by {made.renderer}")
 
 
-def check(data: tyro.conf.Positional[Path], /) -> None:
+def check(data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")], /) -> None:
     """Check a data file or a folder of them: what is wrong, where, and the mend.
 
     Args:
@@ -88,7 +88,7 @@ def check(data: tyro.conf.Positional[Path], /) -> None:
 
 
 def show(
-    data: tyro.conf.Positional[str],
+    data: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DATA")],
     /,
     *,
     split: str = "train",
@@ -118,7 +118,7 @@ def show(
 
 
 def import_(
-    videos: tyro.conf.Positional[tuple[Path, ...]],
+    videos: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="VIDEO ...")],
     /,
     *,
     out: Path,

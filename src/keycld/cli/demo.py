@@ -2,12 +2,13 @@
 
 import time
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 
 def demo(
-    system: tyro.conf.Positional[str] = "pendulum",
+    system: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SYSTEM")] = "pendulum",
     /,
     *,
     out: Path | None = None,
@@ -20,7 +21,7 @@ def demo(
     Args:
         system: pendulum, cartpole or acrobot.
         out: Run folder; runs/SYSTEM-demo unless told.
-        preset: fast or paper.
+        preset: fast (minutes), paper or journal (both need a GPU).
         seed: Of the training.
         set: Settings of the preset to change, as in `keycld train`.
     """

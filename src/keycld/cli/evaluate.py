@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
@@ -9,7 +10,7 @@ from keycld import KeycldError
 
 
 def evaluate(
-    run: tyro.conf.Positional[str],
+    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")],
     /,
     *,
     data: str | None = None,
@@ -20,21 +21,27 @@ def evaluate(
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         data: Data set to score on; the one it was trained on unless told.
-        protocols: Which protocols, by name; all that the data has files for unless told.
+        protocols: Such as test@50, validation@50, test_long@200, test_long@500, or test@50-given-3; all that the data
+            has files for unless told.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
     from keycld.evaluation import evaluate as score
     from keycld.evaluation import evaluate_sweeps, protocol_named, protocols_for, references, save_evaluation, summary
-    from keycld.training import finished, load_run, run_folder
+    from keycld.training import finished, load_run, pretrained, run_folder
 
     folder = run_folder(run)
     model, config = load_run(folder)
     if not finished(folder):
         print(f"{folder} has not trained to its end; scoring its newest checkpoint", file=sys.stderr)
-    # A model of the package may come to a machine that has no data yet.
-    known = config.data if Path(config.data).is_dir() else data_for(config.system)
-    dataset = open_data(data or known)
+    if data is None:
+        data = config.data
+        if not Path(data).is_dir():
+            # A model of the package may come to a machine that has no data yet; a run's data must be its own.
+            if run not in pretrained():
+                raise KeycldError(f"{data}, which {folder} was trained on, is not there: name a data set with --data.")
+            data = str(data_for(config.system))
+    dataset = open_data(data)
     chosen = [protocol_named(name) for name in protocols] or protocols_for(dataset)
     if not chosen:
         raise KeycldError(f"{dataset.folder} has no file that a protocol scores (test.h5, validation.h5, …).")

@@ -51,8 +51,8 @@ GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
 }
 DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving thing from video, then predict and control it.
 
-Start with `keycld demo`. Then: `keycld data make cartpole`, `keycld train cartpole`, `keycld eval RUN`,
-`keycld report RUN`. `keycld data VERB --help` lists what can be done with data sets."""
+Start with `keycld demo`. Then: `keycld train cartpole` (makes the data), `keycld eval RUN`, `keycld control RUN`,
+`keycld report RUN`; RUN is a folder under runs/. `keycld data --help` lists what can be done with data sets."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -86,6 +86,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # The reader, such as `head`, has seen enough; Python's own flush at the end must not complain either.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        print(f"keycld: {error}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("\nkeycld: interrupted; the same command goes on from where it was.", file=sys.stderr)
         return 130

@@ -1,11 +1,14 @@
 """`keycld predict`."""
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 
-def predict(run: tyro.conf.Positional[str], /, *, data: Path, out: Path) -> None:
+def predict(
+    run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")], /, *, data: Path, out: Path
+) -> None:
     """Predict all frames of every trajectory in a file from its first frames and its inputs alone.
 
     Args:

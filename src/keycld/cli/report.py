@@ -1,11 +1,12 @@
 """`keycld report`."""
 
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 
-def report(run: tyro.conf.Positional[str], /) -> None:
+def report(run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN")], /) -> None:
     """Write a run's page: movies, scores, energies, masses, training curves; opens in any browser, no network.
 
     Args:

@@ -10,7 +10,7 @@ from keycld import KeycldError
 
 
 def train(
-    data: tyro.conf.Positional[str] = "",
+    data: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DATA")] = "",
     /,
     *,
     model: str = "keycld",
@@ -37,19 +37,25 @@ def train(
         out: Run folder; runs/DATA-MODEL-PRESET-SEED unless told.
         set: Settings of the preset to change, such as vision_steps=500 joint_horizons=8,16 width=24.
         constraints: TOML file with the constraints, instead of the data's own.
-        config: A run's config.json: trains the same again (data, preset, settings, seed).
-        track: Also send metrics to none, wandb, trackio or tensorboard.
+        config: A run's config.json: trains the same again. It decides model, preset and seed; a DATA, --set and
+            --constraints given beside it change that part.
+        track: Where metrics go besides metrics.jsonl: none, wandb, trackio or tensorboard.
         log_every: Steps between lines of metrics.jsonl.
         checkpoint_seconds: A killed run loses at most about this much.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
-    from keycld.mechanics import load_constraints
+    from keycld.mechanics import load_constraints, parse_constraints
     from keycld.training import train as train_model
 
     settings: dict[str, Any] = {}
+    chosen = None if constraints is None else load_constraints(constraints)
     if config is not None:
-        data, model, preset, seed, settings = _from_config(config, data)
+        saved = _read_config(config)
+        data, settings = data or saved["data"], saved["settings"]
+        model, preset, seed = saved["model"], saved["preset"], saved["seed"]
+        if chosen is None and saved["constraints"] is not None:
+            chosen = parse_constraints(saved["constraints"], f"the constraints in {config}")
     if not data:
         raise KeycldError("name what to train on: `keycld train pendulum`, or the folder of a data set.")
     settings |= dict(parse_setting(text) for text in set)
@@ -62,7 +68,7 @@ def train(
         preset=preset,
         settings=settings,
         seed=seed,
-        constraints=None if constraints is None else load_constraints(constraints),
+        constraints=chosen,
         track=track,
         log_every=log_every,
         checkpoint_seconds=checkpoint_seconds,
@@ -88,9 +94,9 @@ def _number(text: str) -> Any:
     return {"true": True, "false": False}.get(text.lower(), text)
 
 
-def _from_config(path: Path, data: str) -> tuple[str, str, str, int, dict[str, Any]]:
+def _read_config(path: Path) -> dict[str, Any]:
     try:
         saved = json.loads(path.read_text())
-        return data or saved["data"], saved["model"], saved["preset"], saved["seed"], saved["settings"]
-    except (OSError, ValueError, KeyError) as error:
+        return {name: saved[name] for name in ("data", "model", "preset", "seed", "settings", "constraints")}
+    except (OSError, ValueError, KeyError, TypeError) as error:
         raise KeycldError(f"--config {path} is not a run's config.json ({error}).") from None

@@ -21,6 +21,7 @@ from keycld.data.make import make_data as make_data
 from keycld.data.movies import show as show
 from keycld.data.protocols import PROTOCOLS as PROTOCOLS
 from keycld.data.statistics import image_statistics as image_statistics
+from keycld.data.statistics import sha256 as sha256
 from keycld.data.store import Trajectories as Trajectories
 from keycld.data.store import read as read
 from keycld.data.store import write as write
@@ -48,6 +49,7 @@ __all__ = [
     "open_data",
     "read",
     "resident",
+    "sha256",
     "show",
     "with_derivative",
     "with_pictures",

@@ -42,7 +42,7 @@ def import_video(
     Args:
         paths: video files, any format that ffmpeg reads.
         out: the folder to make; its name becomes the system's.
-        size: pixels of a side, a multiple of 4.
+        size: pixels of a side, a multiple of 8.
         fps: frames a second to keep, at most the video's own (the default).
         crop: (left, top, width, height) in the video's pixels, a square, because lengths must be the same in
             both directions; by default the largest one in the middle.
@@ -101,8 +101,8 @@ def _check_numbers(
 ) -> None:
     if not sources:
         raise KeycldError("name at least one video.")
-    if size < 8 or size % 4:
-        raise KeycldError(f"size must be a multiple of 4 and at least 8, not {size}.")
+    if size < 8 or size % 8:
+        raise KeycldError(f"size must be a multiple of 8, not {size}.")
     if fps is not None and not 0 < fps < float("inf"):
         raise KeycldError(f"fps must be above 0, not {fps}.")
     if frames < 3:

@@ -31,9 +31,9 @@ def replacing(path: str | Path) -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         os.replace(temporary, path)
-    except (PermissionError, NotADirectoryError, FileExistsError) as error:
+    except OSError as error:
         raise KeycldError(
-            f"cannot write '{path}': {error.strerror or error}; choose a folder that you may write to."
+            f"cannot write '{path}': {error.strerror or error}; choose a folder that has room and may be written to."
         ) from error
     finally:
         with contextlib.suppress(OSError):

@@ -171,7 +171,9 @@ def _probe(
     from keycld import systems
 
     validation = data.validation()
-    if data.system not in systems.names() or shared.states is None or shared.angles is None:
+    if data.system not in systems.names() or not systems.get(data.system).keypoints:
+        return None
+    if shared.states is None or shared.angles is None:
         return None
     if trajectories.state is None or validation.state is None:
         return None

@@ -8,6 +8,7 @@ from keycld.mechanics.constraints import FunctionConstraint as FunctionConstrain
 from keycld.mechanics.constraints import as_constraint as as_constraint
 from keycld.mechanics.constraints_toml import dump_constraints as dump_constraints
 from keycld.mechanics.constraints_toml import load_constraints as load_constraints
+from keycld.mechanics.constraints_toml import parse_constraints as parse_constraints
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
 from keycld.mechanics.fitting import Fitted as Fitted
@@ -96,6 +97,7 @@ __all__ = [
     "fit_motions",
     "joining_velocity",
     "load_constraints",
+    "parse_constraints",
     "momentum",
     "pulled_back",
     "rigid_body",

@@ -69,14 +69,19 @@ def load_constraints(path: str | Path) -> Constraints:
         raise KeycldError(f"there is no constraints file {path}: check the path.") from None
     except (OSError, UnicodeDecodeError) as error:
         raise KeycldError(f"the constraints file {path} cannot be read as text: {error}.") from None
+    return parse_constraints(text, f"the constraints file {path}")
+
+
+def parse_constraints(text: str, source: str) -> Constraints:
+    """Constraints from TOML text as `load_constraints` reads it; errors call it `source`."""
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise KeycldError(f"the constraints file {path} is not valid TOML: {error}.") from None
+        raise KeycldError(f"{source} is not valid TOML: {error}.") from None
     try:
         return _constraints(table)
     except KeycldError as error:
-        raise KeycldError(f"in the constraints file {path}: {error}") from None
+        raise KeycldError(f"in {source}: {error}") from None
 
 
 def dump_constraints(constraints: Constraints) -> str:

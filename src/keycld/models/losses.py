@@ -31,21 +31,24 @@ class AbstractLoss(eqx.Module):
 class VisionLoss(AbstractLoss):
     """Learns to see, from single frames: the picture must pass through the keypoints.
 
-    reconstruction + `heat_map` · focus + `constraint` · unevenness of Φ, the last with a growing weight.
+    reconstruction + `heat_map` · focus + weights · unevenness of Φ, the weights growing.
 
     - `heat_map`: weight of the cross-entropy between each heat map and a Gaussian of width `sigma` at its own
       (stop-gradient) keypoint, which keeps the maps single-peaked (the 2024 version's loss).
     - `constraint`: weight of the unevenness of the constraint functions over the batch, at the first and at the last
       of `steps` steps, linear between. Only DΦ enters eq. (6), so the constants are free, but they must be
       *constants*: where the distance to the pivot changes with the angle (paper, Fig. 13b) no dynamics can follow.
-      Too much at first, and a keypoint stays where it is before it has found its part; too little at the end, and it
-      settles where the constraint does not hold (`docs/recipe.md` has both in figures).
+    - `coupling`: the same weight at first for constraints on several keypoints. It stays for a fifth of the steps,
+      grows by equal factors for two fifths, and is then the last one of `constraint`. What ties one keypoint to the
+      world tells keypoints apart, and must bind at once; what ties keypoints to each other holds from the first step
+      where they move as one, and would keep them from ever finding their parts (`docs/recipe.md` has the figures).
     - `steps`: of the stage.
     - `sigma`: image-plane units.
     """
 
     heat_map: float = 1.0
     constraint: tuple[float, float] = (100.0, 1000.0)
+    coupling: float = 1.0
     steps: int = 1000
     sigma: float = 0.05
 
@@ -57,19 +60,21 @@ class VisionLoss(AbstractLoss):
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(frames.shape[0], -1)
+        uneven, couples = _unevenness(model, x)
         terms = {
             "reconstruction": squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
             "heat_map": _focus(seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
-            "constraint": _unevenness(model, x),
+            "constraint": jnp.sum(uneven),
         }
         (first, last), done = self.constraint, jnp.minimum(step / self.steps, 1.0)
-        weight = first + (last - first) * done
-        total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + weight * terms["constraint"]
+        growth = (last / self.coupling) ** jnp.clip((done - 0.2) / 0.4, 0.0, 1.0)
+        weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
+        total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + jnp.sum(weights * uneven)
         return total, terms
 
 
 class TrackLoss(AbstractLoss):
-    """Learns to move, from cached keypoints: roll-outs start at the first two of each clip.
+    """Learns to move, from cached keypoints: roll-outs start at the given frames of each clip.
 
     Mean over frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components, between the roll-out
     and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
@@ -90,7 +95,7 @@ class TrackLoss(AbstractLoss):
 
 
 class PredictionLoss(AbstractLoss):
-    """Sees and moves together: everything is drawn from the motion that starts at the first two frames.
+    """Sees and moves together: everything is drawn from the motion that starts at the given frames.
 
     reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² + `constraint` · unevenness of Φ
     + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint sets start a long motion, which
@@ -120,7 +125,7 @@ class PredictionLoss(AbstractLoss):
         terms = {
             "reconstruction": squared_error(drawn, frames),
             "track": jnp.mean(jnp.sum(_huber(rolled - x, self.scale), axis=-1)),
-            "constraint": _unevenness(model, x.reshape(batch * count, -1)),
+            "constraint": jnp.sum(_unevenness(model, x.reshape(batch * count, -1))[0]),
             "heat_map": _focus(seen.heat_maps, seen.keypoints, (height, width), self.sigma),
         }
         total = (
@@ -177,15 +182,19 @@ def _rolled_out(model: KeyCLD, seen: Array, clips: Clip) -> Array:
     return jax.vmap(one)(seen, clips.index, clips.u, clips.dt)
 
 
-def _unevenness(model: KeyCLD, x: Array) -> Array:
-    """How far a batch of keypoints is from one common value of Φ: Σᵢ mean (Φᵢ − mean Φᵢ)² / |DΦᵢ|², a squared length.
+def _unevenness(model: KeyCLD, x: Array) -> tuple[Array, Array]:
+    """How far a batch of keypoints is from one common value of each Φᵢ, and which Φᵢ tie several keypoints.
 
-    Without the division keypoints would gain by coming together: the variance of a squared distance d² is 4d² times
-    that of d.
+    The first is mean (Φᵢ − mean Φᵢ)² / |DΦᵢ|², a squared length. Without the division keypoints would gain by coming
+    together: the variance of a squared distance d² is 4d² times that of d.
     """
     values = jax.vmap(model.constraint)(x)
-    slopes = jnp.sum(jax.vmap(jax.jacfwd(model.constraint))(x) ** 2, axis=-1)
-    return jnp.sum(jnp.mean((values - jnp.mean(values, axis=0)[None, :]) ** 2 / (slopes + 1e-6), axis=0))
+    # [batch, constraint, keypoint, 2]
+    jacobian = jax.vmap(jax.jacfwd(model.constraint))(x).reshape(*values.shape, x.shape[-1] // 2, 2)
+    slopes = jnp.sum(jacobian**2, axis=-1)
+    couples = jnp.sum(jnp.any(slopes > 0, axis=0), axis=-1) > 1
+    spread = (values - jnp.mean(values, axis=0)[None, :]) ** 2
+    return jnp.mean(spread / (jnp.sum(slopes, axis=-1) + 1e-6), axis=0), couples
 
 
 def squared_error(drawn: Float[Array, "B H W 3"], frames: Float[Array, "B H W 3"]) -> Float[Array, ""]:

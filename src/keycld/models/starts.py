@@ -47,9 +47,10 @@ class FittedStart(AbstractStart):
     curvature of the path within a frame. With more, Gauss–Newton steps from there minimise Σ |x(t) − seen(t)|², which
     averages the errors of the sightings.
 
-    - `constants`: values of Φ that all trajectories share, as the lengths of one machine are; they are learned with the
-      dynamics. None: each trajectory has its own, the mean over its given frames. A length that is 1 % off in two
-      frames makes forces 1 % wrong: on the pendulum sharing is worth .70 → .84 in valid prediction time at 200 frames.
+    - `constants`: values of Φ that all trajectories share, as the lengths of one machine are, measured on the training
+      keypoints and not trained. None: each trajectory has its own, the mean over its given frames. A length that is 1 %
+      off in two frames makes forces 1 % wrong: on the pendulum sharing is worth .70 → .84 in valid prediction time at
+      200 frames.
     - `given`: 2 or more.
     - `iterations`: Gauss–Newton steps for more than two frames; over a few frames a motion is so nearly linear in
       its start that two are enough.

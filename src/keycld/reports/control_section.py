@@ -84,8 +84,8 @@ def _curves_caption(scores: dict[str, Any]) -> str:
     if "passivity" in scores:
         rise = 100 * scores["passivity"]["largest_rise_median"]
         words += (
-            f" In a passive loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % of its "
-            f"start (median). Mean learned mass: {html.number(scores['mean_mass'])}, an arbitrary scale that only the "
-            "paper’s law depends on."
+            f" In a passive loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % of the "
+            "flight’s largest value (median). Mean learned mass: "
+            f"{html.number(scores['mean_mass'])}, an arbitrary scale that only the paper’s law depends on."
         )
     return words

@@ -171,7 +171,7 @@ def _best(
         if len(models) == 1:
             return progress, rest, seen
         losses, trial = [], min(stage.trial, stage.steps)
-        while (done := int(progress.step)) < trial:
+        for done in range(0, trial, steps_per_dispatch):
             progress, terms = compiled(min(steps_per_dispatch, trial - done))((rest, seen), progress)
             losses.extend(np.asarray(terms["loss"]))
         # The last third: one batch says little.

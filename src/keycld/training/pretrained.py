@@ -72,7 +72,7 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
     """Puts a trained run on the shelf under its system's name.
 
     Kernels and pictures become half precision, which changes a frame by less than a grey level; what decides the
-    motion (masses, energies, inputs) stays as it is.
+    motion (masses, energies, inputs, lengths) stays as it is.
 
     **Arguments:**
 
@@ -89,7 +89,7 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
     for path, leaf in jax.tree_util.tree_leaves_with_path(model):
         if eqx.is_inexact_array(leaf):
             name = jax.tree_util.keystr(path)
-            weights[name] = np.asarray(leaf, np.float32 if name.startswith(".dynamics") else np.float16)
+            weights[name] = np.asarray(leaf, np.float32 if name.startswith((".dynamics", ".start")) else np.float16)
     np.savez_compressed(folder / "weights.npz", **weights)
     (folder / "constraints.toml").write_text(config.constraints)
     (folder / "config.json").write_text(json.dumps(dataclasses.asdict(config), indent=1) + "\n")

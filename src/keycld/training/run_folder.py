@@ -18,7 +18,7 @@ from keycld.training.checkpoints import write_text
 class RunConfig:
     """Everything that decides a run; `config.json` holds it and `--config` reads it back.
 
-    - `data`: folder of the data set. `data_hash`: its training file's checksum, when known.
+    - `data`: folder of the data set. `data_hash`: checksum of its training file.
     - `model`, `preset`, `settings`: what is trained and how; `settings` are the recipe's fields.
     - `seed`: of weights, data order and everything else.
     - `constraints`: the constraints as TOML text, or None for a Python function given by the caller.
@@ -39,6 +39,7 @@ class RunConfig:
     steps_per_dispatch: int
     checkpoint_seconds: float
     command: str
+    data_hash: str | None = None
 
     def decides(self) -> dict[str, Any]:
         """The part that must be equal for a run to be resumed."""
@@ -65,8 +66,9 @@ def open_run(folder: Path, config: RunConfig) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         if config.constraints is not None:
             write_text(folder / "constraints.toml", config.constraints)
-        write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
         write_text(folder / "environment.json", json.dumps(environment(), indent=1))
+        # Last, because its presence says that the folder is a run's.
+        write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
     except OSError as error:
         raise KeycldError(f"cannot write to {folder}: {error.strerror}; choose another --out.") from error
 
@@ -140,6 +142,13 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
+    """Of the checkout that this file belongs to; None for an installed package, or without git."""
     here = Path(__file__).parent
-    answer = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=False)
-    return answer.stdout.strip() or None
+
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], cwd=here, capture_output=True, text=True, check=False).stdout.strip()
+
+    try:
+        return git("rev-parse", "HEAD") or None if git("ls-files", Path(__file__).name) else None
+    except OSError:
+        return None

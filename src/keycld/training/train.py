@@ -12,11 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
-from keycld.data import DataSet, Resident, open_data
+from keycld.data import DataSet, Resident, open_data, sha256
 from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
 from keycld.mechanics import (
     AbstractConstraint,
     Constraints,
+    FunctionConstraint,
     dump_constraints,
     load_constraints,
 )
@@ -77,13 +78,16 @@ def train(
         preset=preset,
         settings=recipe.settings(),
         seed=seed,
-        constraints=dump_constraints(constraint) if isinstance(constraint, Constraints) else None,
+        constraints=_as_toml(constraint),
         scene={k: v for k, v in dataclasses.asdict(scene).items() if k != "constraint"},
         dt=dataset.dt,
         steps_per_dispatch=steps_per_dispatch,
         checkpoint_seconds=checkpoint_seconds,
         command=shlex.join(sys.argv),
+        data_hash=sha256(dataset.path("train")),
     )
+    if log_every < 1:
+        raise KeycldError(f"log_every is a number of steps of at least 1, not {log_every}.")
     stages = recipe.stages(scene, model)
     resident = Resident(jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32))
     for stage in stages:
@@ -145,6 +149,13 @@ def finished(run: str | Path) -> bool:
     return bool(position["done"]) and position["stage"] == position["stages"] - 1
 
 
+def _as_toml(constraint: AbstractConstraint | Callable) -> str | None:
+    """The constraints as text; None where a Python function is among them, which no file can hold."""
+    if not isinstance(constraint, Constraints) or any(isinstance(i, FunctionConstraint) for i in constraint.items):
+        return None
+    return dump_constraints(constraint)
+
+
 def make_recipe(preset: str, settings: dict[str, Any]) -> AbstractRecipe:
     """A recipe with some settings changed; KeycldError names the nearest valid field and the type it takes."""
     kind = recipe_class(preset)
@@ -158,7 +169,9 @@ def make_recipe(preset: str, settings: dict[str, Any]) -> AbstractRecipe:
             value = tuple(value) if isinstance(value, (list, tuple)) else (value,)
         elif isinstance(default, float) and isinstance(value, int):
             value = float(value)
-        if type(value) is not type(default):
+        parts = value if isinstance(value, tuple) and value else (value,)
+        kinds = {type(part) for part in (default if isinstance(default, tuple) else (default,))}
+        if {type(part) for part in parts} != kinds:
             raise KeycldError(
                 f"setting {name} of preset '{preset}' takes a {type(default).__name__} "
                 f"such as {default}, not {value!r}."

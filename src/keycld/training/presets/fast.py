@@ -22,7 +22,7 @@ from keycld.mechanics import (
 )
 from keycld.models import AbstractStart, FittedStart, KeyCLD, PredictionLoss, TrackLoss, VisionLoss
 from keycld.training.presets.base import AbstractRecipe, Scene
-from keycld.training.presets.parts import plain_start
+from keycld.training.presets.parts import check_sizes, plain_start
 from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, in_turn, measure_statistics, share_constants
 from keycld.training.stages import Stage, muon, warmup_cosine
 from keycld.vision import (
@@ -46,6 +46,9 @@ class FastRecipe(AbstractRecipe):
     1. `vision`: single frames; reconstruction, focused heat maps, constant constraint values.
     2. `dynamics`: roll-outs on cached keypoints, no pictures.
     3. `joint`: everything together, drawn from motions that start at two given frames.
+    4. `long`: the same to the end of the recordings; then the validation score.
+
+    Before 3 and 4 least squares fit the dynamics to whole trajectories.
 
     - `width`: of the networks at half resolution. `stride`: pixels a heat-map cell.
     - `sigma`: width of the renderer's blobs, image-plane units.
@@ -65,7 +68,7 @@ class FastRecipe(AbstractRecipe):
     coupled_masses: bool = True
     shared_constants: bool = True
     vision_steps: int = 1000
-    candidates: int = 3
+    candidates: int = 4
     trial: int = 200
     vision_batch: int = 16
     vision_rate: float = 1e-2
@@ -89,6 +92,7 @@ class FastRecipe(AbstractRecipe):
         Without constraints RATTLE is the Störmer–Verlet method, which serves KeyCLD-NC. NODE2 uses Runge–Kutta 4 and
         a difference for the start velocity: it has no law that a start could be fitted through.
         """
+        check_sizes(scene, self.width, self.stride)
         keys = jax.random.split(key, 5)
         return KeyCLD(
             estimator=self._estimator(scene, keys[2], dense=kind == "fc"),
@@ -139,7 +143,7 @@ class FastRecipe(AbstractRecipe):
         )
 
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
-        """Vision, dynamics, joint; horizons longer than the trajectories are cut."""
+        """Vision, dynamics, joint, long; horizons longer than the trajectories are cut."""
         vision = Stage(
             name="vision",
             steps=self.vision_steps,
@@ -158,7 +162,7 @@ class FastRecipe(AbstractRecipe):
 
         def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartAndLater:
             within = tuple(min(horizon, scene.frames) for horizon in horizons)
-            later = min(self.later, min(within) - self.given)
+            later = min(self.later, max(0, min(within) - self.given))
             return StartAndLater(batch, later, within, steps, cached, self.given)
 
         dynamics = Stage(

@@ -1,4 +1,4 @@
-"""The published networks, which the presets `paper` and `journal` share."""
+"""What several presets share: the published networks, sizes, starts."""
 
 import jax
 from jaxtyping import PRNGKeyArray
@@ -22,6 +22,7 @@ def published_model(
     scene: Scene, key: PRNGKeyArray, kind: str, *, width: int, sigma: float, start: AbstractStart
 ) -> KeyCLD:
     """The networks of appendix A.4 with adaptive Dormand–Prince roll-outs, for any of `MODELS`."""
+    check_sizes(scene, width, stride=1)
     keys = jax.random.split(key, 5)
     count, size = len(scene.keypoints), (scene.height, scene.width)
     dynamics = AdaptiveDynamics(_law(scene, keys[0], keys[1], kind))
@@ -56,6 +57,18 @@ def _law(scene: Scene, first: PRNGKeyArray, second: PRNGKeyArray, kind: str) -> 
         input_matrix=MLPInputMatrix(2 * count, scene.inputs, key=second) if scene.inputs else None,
         constraint=None if kind == "keycld-nc" else scene.constraint,
     )
+
+
+def check_sizes(scene: Scene, width: int, stride: int) -> None:
+    """Refuses pictures and widths that a U-Net's two halvings and eight groups of channels cannot divide."""
+    cell = 4 * stride
+    if scene.height % cell or scene.width % cell:
+        raise KeycldError(
+            f"this preset needs pictures whose sides are multiples of {cell}, not {scene.height} × {scene.width}: "
+            "make or import them with another size."
+        )
+    if width % 8 or width <= len(scene.keypoints):
+        raise KeycldError(f"width is a multiple of 8 above the number of keypoints, not {width}.")
 
 
 def plain_start(given: int) -> AbstractStart:

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, fit_motions
 
@@ -21,6 +22,8 @@ _fit = eqx.filter_jit(fit_motions)
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Puts the training data's mean frame and deviation into the estimator and the renderer."""
     mean, deviation = _mean_and_deviation(data)
+    if not deviation > 0:
+        raise KeycldError("all training pictures are the same: there is no motion to learn from; check the data.")
     model = eqx.tree_at(
         lambda m: (m.estimator.standardise.mean, m.estimator.standardise.deviation, m.renderer.background),
         model,
