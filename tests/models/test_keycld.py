@@ -222,12 +222,14 @@ def test_vision_holds_constraints_more_and_more(item, weights, getkey):
     """Those to the world at once, those between keypoints later: 1000^(3/4) = 178 at half of the steps."""
     scene = dataclasses.replace(SCENE, keypoints=("a", "b"), constraint=Constraints(("a", "b"), (item,)))
     model = FastRecipe(width=8).model(scene, jax.random.key(0))
+    # Keypoints that differ from picture to picture, or the term would drown in rounding.
+    model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 100 * kernel)
     clip = clips(getkey(), 3, [0], 1)
     loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100))
     for step, weight in zip((0, 50, 100, 200), weights, strict=True):
         total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
         rest = total - terms["reconstruction"] - terms["heat_map"]
-        assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02)
+        assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02), terms
 
 
 def test_paper_model_predicts_with_its_adaptive_solver(paper_model, getkey):
