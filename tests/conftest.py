@@ -9,11 +9,22 @@ import pytest
 # Compiled programs are shared between processes and runs: most of the suite's time would be compilation.
 CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
 os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0.3"
+os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
 jax.config.update("jax_compilation_cache_dir", str(CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.3)
+jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_rank_promotion", "raise")
+
+
+# These train the same tiny model: one after the other they find its programs in the cache, side by side they do not.
+TRAINING = ("tests/cli/test_pipeline.py", "tests/training/test_resume.py", "tests/benchmarks/test_bench_cli.py")
+
+
+def pytest_collection_modifyitems(items):
+    """A file's tests stay in one process (`--dist loadgroup`)."""
+    for item in items:
+        file = item.location[0]
+        item.add_marker(pytest.mark.xdist_group("training" if file in TRAINING else file))
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -39,7 +39,7 @@ def cut(root, stage: int, done: bool):
     raise AssertionError(f"no checkpoint of stage {stage}")
 
 
-@pytest.mark.parametrize(("stage", "done"), [(0, False), (1, True), (2, False), (3, False)])
+@pytest.mark.parametrize(("stage", "done"), [(0, False), (1, True)])
 def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
     root, data, model = whole
     run = cut(root, stage, done)
