@@ -35,8 +35,8 @@ def make(
             Interrupted work is taken up; finished data is left as it is.
         out: Folder; data/SYSTEM unless told.
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); for toy sets priors-released (the
-            configurations behind the published scores) or priors-paper (the text, where it differs). Default: keycld-2022,
-            priors-released.
+            configurations behind the published scores) or priors-paper (the text, where it differs). Default:
+            keycld-2022, priors-released.
         control: Which inputs act: none, under (the second does not) or full. Default: the protocol's.
         start: How runs start: rest or random. Default: the protocol's.
         clip: Whether the motors limit the input to their range. Default: the protocol's.
