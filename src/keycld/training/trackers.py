@@ -28,7 +28,8 @@ def make_tracker(name: str, folder: Path, config: dict[str, Any]) -> Tracker:
     try:
         return _TensorBoard(folder) if name == "tensorboard" else _Dashboard(name, folder, config)
     except ImportError:
-        raise KeycldError(f"--track {name} needs its package: pip install 'keycld[{name}]'.") from None
+        package = "tensorboardX" if name == "tensorboard" else name
+        raise KeycldError(f"--track {name} needs its package: pip install {package}.") from None
 
 
 class _Silent:
