@@ -15,8 +15,9 @@ from keycld.data import Trajectories, make_data, write
 from keycld.data.protocols import splits
 from scenes import DT, TINY, disc_pendulum, draw
 
-SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in TINY.items()]
-ONLY = ["--only", "pendulum-keycld-0", "--set", *SETTINGS]
+SHORT = TINY | {"long_steps": 0}
+SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in SHORT.items()]
+ONLY = ["--only", "pendulum-node2-0", "--set", *SETTINGS]
 
 
 def finished_data(folder):
@@ -59,7 +60,7 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
     assert "done  VPT 0." in answer.stdout and answer.stdout.strip().endswith("1 done")
     (path,) = (tmp_path / "results" / "keycld").rglob("*.json")
     result = json.loads(path.read_text())
-    (experiment,) = suite_named("keycld").select(only="pendulum-keycld-0", models=["keycld"], settings=TINY)
+    (experiment,) = suite_named("keycld").select(only="pendulum-node2-0", models=["node2"], settings=SHORT)
     assert result["config_hash"] == experiment.hash() and path.parent.name == experiment.group.split("/")[1]
     assert result["settings"]["joint_steps"] == TINY["joint_steps"] and result["training"]["frames"] > 0
     assert set(result["scores"]) == {"test@50", "validation@50", "test_long@200", "test_long@500"}
@@ -73,9 +74,7 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
     for verb in ("status", "table", "figures", "report"):
         assert main(["bench", verb, "keycld", *ONLY]) == 0
     printed = capsys.readouterr().out
-    assert (
-        "pendulum-keycld-0  done" in printed and "paper: KeyCLD" in printed and "movie-pendulum-test@50.mp4" in printed
-    )
+    assert "pendulum-node2-0  done" in printed and "paper: NODE2" in printed and "movie-pendulum-test@50.mp4" in printed
     page = tmp_path / "runs" / experiment.group / "report.html"
     assert "</html>" in page.read_text() and str(page.relative_to(tmp_path)) in printed
 

@@ -203,7 +203,7 @@ def test_the_command_writes_what_it_promises(model, tmp_path, monkeypatch, capsy
     monkeypatch.setattr("keycld.cli.control._epsilon", lambda model, config: EPSILON)
     assert main(["control", str(tmp_path), "--seconds", "0.4", "--limit", "3", "--workers", "1"]) == 0
     assert "0 of 1 starts keep the goal" in capsys.readouterr().out
-    name = "control-upright-shaping-limit3"
+    name = "control-upright-shaping-limit3-seconds0.4"
     scores = json.loads((tmp_path / "evaluation" / f"{name}.json").read_text())
     assert scores["limit"] == 3 and scores["n"] == 1 and max(scores["largest_input"]) <= 3
     for file in (f"{name}.mp4", f"{name}.png", f"{name}-strip.png"):

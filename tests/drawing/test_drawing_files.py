@@ -70,5 +70,5 @@ def test_mistakes_are_named(tmp_path, frames):
     with pytest.raises(KeycldError, match="at least one frame"):
         save_movie(tmp_path / "a.gif", frames[:0])
     (tmp_path / "file").write_text("")
-    with pytest.raises(KeycldError, match="choose a folder that you may write to"):
+    with pytest.raises(KeycldError, match="choose a folder that has room and may be written to"):
         save_image(tmp_path / "file" / "a.png", frames[0])
