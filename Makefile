@@ -21,7 +21,7 @@ demo: setup
 
 test: setup
 	sh scripts/system_packages.sh test
-	$(BIN)/python -m pytest -n auto --dist loadgroup
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: setup
 	$(BIN)/ruff check

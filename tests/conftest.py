@@ -19,18 +19,6 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
-# These train the same tiny model: one after the other they find its programs in the cache, side by side they do not.
-TRAINING = ("tests/cli/test_pipeline.py", "tests/training/test_resume.py")
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items):
-    """A file's tests stay in one process (`--dist loadgroup`); xdist reads the marks in a hook of its own."""
-    for item in items:
-        file = item.location[0]
-        item.add_marker(pytest.mark.xdist_group("training" if file in TRAINING else file))
-
-
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():
     """Compiled programs take several memory maps each, and a process may have 65,530: beyond that it dies."""
