@@ -92,19 +92,20 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     model = JournalRecipe(width=8).model(SCENE, jax.random.key(0))
     frames = jax.random.uniform(getkey(), (1, 10, 16, 16, 3))
     clip = Clip(frames, None, jnp.arange(10)[None], jnp.full((1, 1), 0.7), DT[None], 10)
-    loss = ShortRolloutLoss(augment=False)
+    loss = eqx.filter_jit(ShortRolloutLoss(augment=False))
     total, terms = loss(model, clip, key=getkey(), step=jnp.array(0))
 
-    seen = [model.observe(frame) for frame in frames[0]]
+    observe = eqx.filter_jit(model.observe)
+    seen = [observe(frame) for frame in frames[0]]
     x = np.array([np.ravel(s.keypoints) for s in seen], float)
     dt, law = float(DT), model.law
-    dynamics = 0.0
+    dynamics, accelerate = 0.0, eqx.filter_jit(law.acceleration)
     for k in range(1, 4):  # frames 1 ... 8 have a velocity; the last five of them start nothing
         v = (x[k + 1] - x[k - 1]) / (2 * dt)
         v = v - x[k] * (x[k] @ v) / (x[k] @ x[k])  # DΦ of a distance to the origin is along x
         y = x[k].copy()
         for j in range(4):
-            a = np.asarray(law.acceleration(jnp.asarray(y, jnp.float32), jnp.asarray(v, jnp.float32), jnp.full(1, 0.7)))
+            a = np.asarray(accelerate(jnp.asarray(y, jnp.float32), jnp.asarray(v, jnp.float32), jnp.full(1, 0.7)))
             y, v = y + dt * v, v + dt * a
             dynamics += np.sum((y - x[k + j + 1]) ** 2)
     assert float(terms["dynamics"]) == pytest.approx(dynamics, rel=1e-3)
@@ -118,7 +119,8 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
         entropy.append(-np.mean(blob * np.log(heat + 1e-4) + (1 - blob) * np.log(1 - heat + 1e-4)))
     assert float(terms["heat_map"]) == pytest.approx(np.mean(entropy), rel=1e-3)
 
-    drawn = np.array([model.renderer(s.keypoints) for s in seen])
+    renderer = eqx.filter_jit(model.renderer)
+    drawn = np.array([renderer(s.keypoints) for s in seen])
     reconstruction = np.mean(np.sum((drawn - np.asarray(frames[0])) ** 2, axis=(1, 2, 3)))
     assert float(terms["reconstruction"]) == pytest.approx(reconstruction, rel=1e-4)
     assert float(total) == pytest.approx(reconstruction + dynamics + np.mean(entropy), rel=1e-4)
@@ -130,7 +132,6 @@ def test_a_turned_estimator_still_sees_the_same_place(getkey):
     clip = Clip(
         jax.random.uniform(getkey(), (1, 10, 16, 16, 3)), None, jnp.arange(10)[None], jnp.ones((1, 1)), DT[None], 10
     )
-    first, second = (
-        float(ShortRolloutLoss()(model, clip, key=jax.random.key(k), step=jnp.array(0))[0]) for k in (1, 2)
-    )
+    loss = eqx.filter_jit(ShortRolloutLoss())
+    first, second = (float(loss(model, clip, key=jax.random.key(k), step=jnp.array(0))[0]) for k in (1, 2))
     assert np.isfinite(first) and first != second

@@ -52,7 +52,8 @@ def test_a_third_frame_halves_the_error_of_the_velocity(pendulum, swing):
     noisy = seen[None] + 1e-3 * jax.random.normal(jax.random.key(0), (200, *seen.shape))
     error = {}
     for given in (2, 3):
-        starts = jax.vmap(lambda x, given=given: FittedStart(None, given)(pendulum, x[:given], DT, NOTHING))(noisy)
+        start = FittedStart(None, given)
+        starts = jax.jit(jax.vmap(lambda x, start=start: start(pendulum, x[: start.given], DT, NOTHING)))(noisy)
         error[given] = float(jnp.sqrt(jnp.mean((starts.coordinates.v - state.coordinates.v[None]) ** 2)))
     assert error[3] == pytest.approx(error[2] / 2, rel=0.2)
 
