@@ -32,7 +32,7 @@ law = model.law
 
 # %% Where it sees the two keypoints of a picture, in image-plane units: x right, y up, ±1 at the edges.
 frames = jnp.asarray(test.image[0], jnp.float32) / 255
-seen = eqx.filter_jit(jax.vmap(model.observe))(frames)
+seen = jax.jit(jax.vmap(model.observe))(frames)
 print("keypoints in the first picture:\n", np.round(seen.keypoints[0], 3))
 
 # %% The radii on which they turn were never given. Φ = (|x1|², |x1 − x2|²) came out constant, because no energies
