@@ -1,10 +1,14 @@
 """Strict settings for every test: silent broadcasting and silent warnings are failures."""
 
+import fcntl
 import os
 from pathlib import Path
 
 import jax
 import pytest
+
+from keycld.training import finished, train
+from scenes import TINY, write_data
 
 # Compiled programs are shared between processes and runs: most of the suite's time would be compilation.
 CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
@@ -33,3 +37,20 @@ def getkey():
     """A function that gives a fresh random key at each call, the same ones in every run."""
     keys = iter(jax.random.split(jax.random.key(20220622), 1000))
     return lambda: next(keys)
+
+
+@pytest.fixture(scope="session")
+def trained(tmp_path_factory):
+    """A folder to copy: the data set `mine` and a tiny run `whole` of all stages with every checkpoint.
+
+    Made once for all processes of a session: the first one that asks trains, another one waits.
+    """
+    base = tmp_path_factory.getbasetemp()
+    root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "trained"
+    root.mkdir(exist_ok=True)
+    with (root.parent / "trained.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not finished(root / "whole"):
+            data = write_data(root / "mine")
+            train(data, root / "whole", settings=TINY, checkpoint_seconds=0.0, log_every=2, keep=100)
+    return root

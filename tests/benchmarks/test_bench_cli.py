@@ -15,7 +15,7 @@ from keycld.data import Trajectories, make_data, write
 from keycld.data.protocols import splits
 from scenes import DT, TINY, disc_pendulum, draw
 
-SHORT = TINY | {"long_steps": 0}
+SHORT = TINY | {"dynamics_steps": 0, "long_steps": 0}
 SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in SHORT.items()]
 ONLY = ["--only", "pendulum-node2-0", "--set", *SETTINGS]
 

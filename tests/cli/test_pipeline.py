@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -40,24 +41,8 @@ def weights(run):
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("pipeline")
-    write_data(folder / "mine")
-    answer = keycld(
-        "train",
-        "mine",
-        "--out",
-        "whole",
-        "--log-every",
-        2,
-        "--checkpoint-seconds",
-        0,
-        "--set",
-        *SETTINGS,
-        folder=folder,
-    )
-    assert answer.returncode == 0, answer.stderr
-    return folder
+def place(tmp_path_factory, trained):
+    return shutil.copytree(trained, tmp_path_factory.mktemp("pipeline"), dirs_exist_ok=True)
 
 
 def test_a_killed_training_ends_with_the_bits_of_the_run_whose_config_it_was_given(place):
@@ -237,8 +222,8 @@ def test_foreign_data_trains_with_constraints_given_on_the_command_line(place):
     (folder / "constraints.toml").rename(place / "mine.toml")
     code = keycld("train", "bare", "--out", "bare-run", folder=place)
     assert code.returncode == 2 and "constraints" in code.stderr
-    without_pictures = ["joint_steps=0", "long_steps=0"]
-    settings = ["--constraints", "mine.toml", "--out", "bare-run", "--set", *SETTINGS, *without_pictures]
+    vision_alone = ["dynamics_steps=0", "joint_steps=0", "long_steps=0"]
+    settings = ["--constraints", "mine.toml", "--out", "bare-run", "--set", *SETTINGS, *vision_alone]
     answer = keycld("train", "bare", *settings, folder=place)
     assert answer.returncode == 0, answer.stderr
     answer = keycld("predict", "bare-run", "--data", "bare/test.h5", "--out", "bare.h5", folder=place)

@@ -156,10 +156,14 @@ def clips(key, batch, index, span, frames=True):
 def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey):
     """Eqs. (10)–(13) for one clip of seven frames, in plain NumPy around the model's own parts."""
     clip = clips(getkey(), 1, range(7), 7)
-    total, terms = CollocationLoss(5e-4)(paper_model, clip, key=getkey(), step=jnp.array(5))
-    frames = clip.frames[0]
-    x = np.stack([np.asarray(paper_model.observe(f).keypoints).reshape(-1) for f in frames])
-    drawn = np.stack([np.asarray(paper_model.renderer(jnp.asarray(p).reshape(1, 2))) for p in x])
+    total, terms = eqx.filter_jit(CollocationLoss(5e-4))(paper_model, clip, key=getkey(), step=jnp.array(5))
+    frames, observe, renderer = (
+        clip.frames[0],
+        eqx.filter_jit(paper_model.observe),
+        eqx.filter_jit(paper_model.renderer),
+    )
+    x = np.stack([np.asarray(observe(f).keypoints).reshape(-1) for f in frames])
+    drawn = np.stack([np.asarray(renderer(jnp.asarray(p).reshape(1, 2))) for p in x])
     reconstruction = np.sum((drawn - np.asarray(frames)) ** 2) / 7
     h, defects = 0.05, []
     velocity = {i: (x[i + 1] - x[i - 1]) / (2 * h) for i in range(1, 6)}
@@ -188,10 +192,9 @@ def test_track_loss_is_zero_on_the_models_own_motion(model):
     start = begin(model, on_circle(0.5), on_circle(0.6), DT, jnp.zeros(1))
     path = model.rollout(start, DT, jnp.zeros(1), 9).coordinates.x
     clip = Clip(None, path[None], jnp.arange(10)[None], jnp.zeros((1, 1)), DT[None], 10)
-    loss, _ = TrackLoss()(model, clip, key=jax.random.key(0), step=jnp.array(0))
-    assert float(loss) < 1e-6
-    moved = eqx.tree_at(lambda c: c.keypoints, clip, clip.keypoints.at[0, 5:].add(0.1))
-    assert float(TrackLoss()(model, moved, key=jax.random.key(0), step=jnp.array(0))[0]) > 1e-3
+    track = eqx.filter_jit(lambda clip: TrackLoss()(model, clip, key=jax.random.key(0), step=jnp.array(0))[0])
+    assert float(track(clip)) < 1e-6
+    assert float(track(eqx.tree_at(lambda c: c.keypoints, clip, clip.keypoints.at[0, 5:].add(0.1)))) > 1e-3
 
 
 @pytest.mark.parametrize(

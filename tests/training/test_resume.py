@@ -10,16 +10,13 @@ import pytest
 from keycld._errors import KeycldError
 from keycld.training import finished, load_run, train
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, save_checkpoint
-from scenes import TINY, write_data
+from scenes import TINY
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
-    """A tiny run through all four stages that keeps every checkpoint, one after each three steps."""
-    root = tmp_path_factory.mktemp("resume")
-    data = write_data(root / "data")
-    model = train(data, root / "run", settings=TINY, checkpoint_seconds=0.0, log_every=3, keep=100)
-    return root, data, model
+def whole(tmp_path_factory, trained):
+    root = shutil.copytree(trained, tmp_path_factory.mktemp("resume"), dirs_exist_ok=True)
+    return root, root / "mine", load_run(root / "whole")[0]
 
 
 def leaves(model):
@@ -29,7 +26,7 @@ def leaves(model):
 def cut(root, stage: int, done: bool):
     """A copy of the run as a kill would have left it at its checkpoint in, or at the end of, a stage."""
     copy = root / f"cut-{stage}-{done}"
-    shutil.copytree(root / "run", copy)
+    shutil.copytree(root / "whole", copy)
     for checkpoint in sorted((copy / "checkpoints").iterdir()):
         if checkpoint.is_dir():
             position = json.loads((checkpoint / "position.json").read_text())
@@ -43,7 +40,7 @@ def cut(root, stage: int, done: bool):
 def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
     root, data, model = whole
     run = cut(root, stage, done)
-    resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=3)
+    resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2)
     for expected, found in zip(leaves(model), leaves(resumed), strict=True):
         np.testing.assert_array_equal(found, expected)
     steps = [json.loads(line)["step"] for line in (run / "metrics.jsonl").read_text().splitlines()]
@@ -52,8 +49,8 @@ def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
 
 def test_a_finished_run_loads_without_its_data(whole):
     root, _, model = whole
-    assert finished(root / "run")
-    loaded, config = load_run(root / "run")
+    assert finished(root / "whole")
+    loaded, config = load_run(root / "whole")
     for expected, found in zip(leaves(model), leaves(loaded), strict=True):
         np.testing.assert_array_equal(found, expected)
     assert config.scene["keypoints"] == ["disc"]
@@ -62,7 +59,7 @@ def test_a_finished_run_loads_without_its_data(whole):
 def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_path):
     root, data, model = whole
     with pytest.raises(KeycldError, match="seed was 0, now 1"):
-        train(data, root / "run", settings=TINY, seed=1)
+        train(data, root / "whole", settings=TINY, seed=1)
 
 
 def test_a_half_written_checkpoint_is_not_used(tmp_path):
