@@ -29,9 +29,9 @@ nothing was chosen on:
 **Use.** `keycld predict {system} --data FILE.h5 --out OUT.h5`, `keycld report {system}`, or in Python
 `keycld.load("{system}")`.
 
-**Limits.** It knows this camera, light and background, and motions like those of the data: {limit} Masses, energies and
-inputs are known up to one common factor, potential energy up to a constant. Far beyond the scored horizon a prediction
-keeps its energy but not its phase.
+**Limits.** It knows this camera, light and background, and motions like those of the data:
+{limit} Masses, energies and inputs are known up to one common factor, potential energy
+up to a constant. Far beyond the scored horizon a prediction keeps its energy but not its phase.
 """
 LIMITS = {
     "pendulum": "up to about 28 rad/s, |u| ≤ 3.",

@@ -92,7 +92,10 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
             weights[name] = np.asarray(leaf, np.float32 if name.startswith((".dynamics", ".start")) else np.float16)
     np.savez_compressed(folder / "weights.npz", **weights)
     (folder / "constraints.toml").write_text(config.constraints)
-    (folder / "config.json").write_text(json.dumps(dataclasses.asdict(config), indent=1) + "\n")
+    # What was typed may name folders of the machine; this trains the same.
+    command = f"keycld train {config.system} --model {config.model} --preset {config.preset} --seed {config.seed}"
+    plain = dataclasses.replace(config, command=command)
+    (folder / "config.json").write_text(json.dumps(dataclasses.asdict(plain), indent=1) + "\n")
     (folder / "README.md").write_text(card)
     shutil.copy(Path(run) / "metrics.jsonl", folder / "metrics.jsonl")
     return folder
