@@ -21,7 +21,8 @@ demo: setup
 
 test: setup
 	sh scripts/system_packages.sh test
-	$(BIN)/python -m pytest -n auto --dist loadfile
+# Files in the order of the folders: by their number of tests the few long ones would come last, on one core.
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup
 	$(BIN)/ruff check
