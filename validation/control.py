@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld.benchmarks.results import read_json, write_json
-from keycld.cli.control import _epsilon, _Shown, _summary
+from keycld.cli.control import Shown, summary_of, threshold_of
 from keycld.control import Assignment, Disturbance, Imagination, Plant, goal_of, swing_up
 from keycld.control.outcome import HOLD
 from keycld.control.swing_up import upright_picture
@@ -62,9 +62,9 @@ EXPERIMENTS = (*assignments("pendulum", 0), "imagination")
 
 def flown(model, system, epsilon, assignment, workers):
     """The scores of one experiment, with what belongs to single starts condensed."""
-    shown = _Shown(round(assignment.seconds / system.dt))
+    shown = Shown(round(assignment.seconds / system.dt))
     result = swing_up(model, system, epsilon, None, assignment, progress=shown, workers=workers)
-    print(_summary(result.scores), flush=True)
+    print(summary_of(result.scores), flush=True)
     scores = {name: value for name, value in result.scores.items() if name not in dataclasses.asdict(assignment)}
     success, settled = scores.pop("success"), scores.pop("settled_seconds")
     tilts = scores.pop("worst_tilt_last_second_degrees")
@@ -165,7 +165,7 @@ def main():
     options = parser.parse_args()
 
     model, config = load_run(run_folder(options.run))
-    system, epsilon = get(config.system), _epsilon(model, config)
+    system, epsilon = get(config.system), threshold_of(model, config)
     path, weights = options.out / f"{options.name}.json", weights_hash(model)
     kept = read_json(path) or {}
     if kept.get("weights") not in (None, weights):

@@ -200,7 +200,7 @@ def test_the_command_writes_what_it_promises(model, tmp_path, monkeypatch, capsy
     (tmp_path / "config.json").write_text(json.dumps({"system": "pendulum", "command": "keycld train pendulum"}))
     monkeypatch.setattr(training, "run_folder", lambda run: tmp_path)
     monkeypatch.setattr(training, "load_run", lambda folder: (model, Config()))
-    monkeypatch.setattr("keycld.cli.control._epsilon", lambda model, config: EPSILON)
+    monkeypatch.setattr("keycld.cli.control.threshold_of", lambda model, config: EPSILON)
     assert main(["control", str(tmp_path), "--seconds", "0.4", "--limit", "3", "--workers", "1"]) == 0
     assert "0 of 1 starts keep the goal" in capsys.readouterr().out
     name = "control-upright-shaping-limit3-seconds0.4"

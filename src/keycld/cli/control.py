@@ -72,16 +72,16 @@ def control(
     result = swing_up(
         model,
         get(config.system),
-        _epsilon(model, config),
+        threshold_of(model, config),
         picture,
         assignment,
-        progress=_Shown(round(seconds / config.dt)),
+        progress=Shown(round(seconds / config.dt)),
         workers=workers,
     )
     target, name = out or folder, _name(goal, assignment)
     path = save_evaluation(target, name, result)
     movie, _, figure = write_control_media(target, name, result)
-    print(_summary(result.scores))
+    print(summary_of(result.scores))
     print(f"stored: {path}, {movie}, {figure}")
     if out is None:
         print(f"next: keycld report {run}")
@@ -97,7 +97,7 @@ def _picture(path: Path) -> Any:
     return picture[..., :3] if picture.ndim == 3 else picture
 
 
-def _epsilon(model: Any, config: Any) -> float:
+def threshold_of(model: Any, config: Any) -> float:
     """ε as the model itself knows it, from the deviation of its training pictures; else from its data."""
     standardise = getattr(getattr(model, "estimator", None), "standardise", None)
     if standardise is not None:
@@ -124,7 +124,8 @@ def _name(goal: str, assignment: Any) -> str:
     return "-".join(words)
 
 
-def _summary(scores: dict[str, Any]) -> str:
+def summary_of(scores: dict[str, Any]) -> str:
+    """Successes, timing and passivity of a flight, in lines for a terminal."""
     step = scores["step"]
     largest = ", ".join(f"{value:.3g}" for value in scores["largest_input"])
     lines = [
@@ -142,7 +143,7 @@ def _summary(scores: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-class _Shown:
+class Shown:
     """Progress of the flight, as the training shows it."""
 
     def __init__(self, total: int) -> None:
@@ -154,4 +155,5 @@ class _Shown:
         self._began = self._clock()
 
     def __call__(self, done: int, total: int) -> None:
+        """Frames flown so far."""
         self._bar.show(done, done / max(self._clock() - self._began, 1e-9), "")

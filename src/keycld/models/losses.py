@@ -39,9 +39,10 @@ class VisionLoss(AbstractLoss):
       of `steps` steps, linear between. Only DΦ enters eq. (6), so the constants are free, but they must be
       *constants*: where the distance to the pivot changes with the angle (paper, Fig. 13b) no dynamics can follow.
     - `coupling`: the same weight at first for constraints on several keypoints. It stays for a fifth of the steps,
-      grows by equal factors for two fifths, and is then the last one of `constraint`; above zero. What ties one keypoint to the
-      world tells keypoints apart, and must bind at once; what ties keypoints to each other holds from the first step
-      where they move as one, and would keep them from ever finding their parts (`docs/recipe.md` has the figures).
+      grows by equal factors for two fifths, and is then the last one of `constraint`; above zero. What ties one
+      keypoint to the world tells keypoints apart, and must bind at once; what ties keypoints to each other holds
+      from the first step where they move as one, and would keep them from ever finding their parts
+      (`docs/recipe.md` has the figures).
     - `steps`: of the stage.
     - `sigma`: image-plane units.
     """
