@@ -1,0 +1,15 @@
+"""Draws the README's picture from evaluated runs: python scripts/readme_picture.py RUN [RUN ...].
+
+The first test recording of each run, every sixth frame; what happened above what was predicted.
+"""
+
+import sys
+
+from keycld.drawing import enlarge, save_image, sheet
+from keycld.evaluation import load_evaluation
+
+rows = []
+for run in sys.argv[1:]:
+    arrays = load_evaluation(run, "test@50").arrays
+    rows += [arrays["truth"][0], arrays["prediction"][0]]
+save_image("docs/media/prediction.png", enlarge(sheet(rows), 2))
