@@ -74,7 +74,7 @@ TINY = {
     "joint_horizons": [6, 8],
     "long_steps": 6,
     "long_horizons": [6, 8],
-    "later": 3,
+    "groups": 2,
 }
 """Settings of the `fast` preset that train in seconds."""
 

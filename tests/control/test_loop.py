@@ -20,10 +20,10 @@ from keycld.control import (
     Pilot,
     PredictCorrect,
     advance,
-    check_reachable,
     goal_of,
     lagrangian_of,
     loop,
+    nearest_pose,
     swing_up,
 )
 from keycld.evaluation import save_evaluation
@@ -160,9 +160,9 @@ def test_goals_that_mean_nothing(model, pilot):
         goal_of(model, noise, EPSILON)
     with pytest.raises(KeycldError, match="64 × 64"):
         goal_of(model, noise[:32], EPSILON)
-    check_reachable(model, jnp.array([0.49, 0.0]), jnp.array([0.49**2]))
+    nearest_pose(model, jnp.array([0.49, 0.0]), jnp.array([0.49**2]))
     with pytest.raises(KeycldError, match="constraints keep the system from"):
-        check_reachable(model, jnp.array([0.2, 0.0]), jnp.array([0.49**2]))
+        nearest_pose(model, jnp.array([0.2, 0.0]), jnp.array([0.49**2]))
 
 
 def test_a_model_without_energies_is_refused():

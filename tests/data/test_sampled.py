@@ -12,7 +12,7 @@ from sample import assert_equal
 from keycld import KeycldError
 from keycld.data import (
     DrawnLater,
-    StartAndLater,
+    StartGroups,
     WholeTrajectories,
     check,
     make_data,
@@ -125,7 +125,7 @@ def test_stored_pictures_are_the_drawn_ones(folder, tmp_path):
         make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1)
 
 
-@pytest.mark.parametrize("sampler", [StartAndLater(4, 2, (6,), 10), WholeTrajectories(30)])
+@pytest.mark.parametrize("sampler", [StartGroups(4, 2, (6,), 10), WholeTrajectories(30)])
 def test_clips_are_drawn_inside_the_step(folder, sampler):
     """The same clips, bit for bit, from states as from pictures, in a compiled step."""
     states = open_data(folder).split("train", images=False)

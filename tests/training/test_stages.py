@@ -6,7 +6,7 @@ import optax
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.data import RandomFrames, Resident, StartAndLater, WholeTrajectories
+from keycld.data import RandomFrames, Resident, StartGroups, WholeTrajectories
 from keycld.training import Stage, make_recipe
 from keycld.training.stages import forgetful, warmup_cosine
 from keycld.training.step import begin, diagnose, make_step
@@ -24,33 +24,35 @@ def numbers(clip):
     return np.round(np.asarray(clip.frames[..., 0, 0, 0]) * 255).astype(int)
 
 
-def test_later_frames_follow_the_two_given_ones_in_order(data):
-    sampler = StartAndLater(batch=64, later=3, horizons=(6,), steps=10)
+def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
+    sampler = StartGroups(batch=256, groups=2, windows=(6,), steps=10)
     clip = sampler(data, jax.random.key(0), jnp.array(3))
     index = np.asarray(clip.index)
     assert clip.span == 6
-    np.testing.assert_array_equal(index[:, :2], np.tile([0, 1], (64, 1)))
-    assert (np.diff(index, axis=1) > 0).all() and index.max() == 5
+    np.testing.assert_array_equal(index[:, 1::2] - index[:, ::2], 1)
+    assert (index[:, 2] - index[:, 0] >= 2).all()
+    assert set(index[:, 0]) == {0, 1, 2} and set(index[:, 2]) == {2, 3, 4}  # odd places too, and the last ones
     seen = numbers(clip)
-    np.testing.assert_array_equal(seen - seen[:, :1], index)
+    np.testing.assert_array_equal(seen - seen[:, :1], index - index[:, :1])
     np.testing.assert_array_equal(np.asarray(clip.u)[:, 0], seen[:, 0] // 10)
-    assert set(seen[:, 0] % 10) == set(range(5))  # every start that leaves room for the horizon
+    assert set(seen[:, 0] % 10 - index[:, 0]) == set(range(5))  # every place that leaves room for the window
 
 
-def test_the_horizon_grows_with_the_steps(data):
-    sampler = StartAndLater(batch=64, later=2, horizons=(4, 7, 10), steps=9)
+def test_the_window_grows_with_the_steps(data):
+    sampler = StartGroups(batch=64, groups=2, windows=(4, 7, 10), steps=9)
     last = [int(sampler(data, jax.random.key(0), jnp.array(k)).index.max()) for k in range(9)]
     assert last == [3, 3, 3, 6, 6, 6, 9, 9, 9]
     late = sampler(data, jax.random.key(0), jnp.array(20))
-    assert int(late.index.max()) == 9 and set(numbers(late)[:, 0] % 10) == {0}
+    assert int(late.index.max()) == 9
+    np.testing.assert_array_equal(numbers(late) % 10, late.index)  # only one place is left
 
 
 def test_cached_keypoints_take_the_place_of_pictures(data):
     tracks = jnp.arange(40.0).reshape(4, 10, 1) * jnp.ones(2)[None, None, :]
     cached = eqx.tree_at(lambda d: d.keypoints, data, tracks, is_leaf=lambda x: x is None)
-    clip = StartAndLater(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
+    clip = StartGroups(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
     assert clip.frames is None
-    start = clip.keypoints[:, :1, 0]
+    start = clip.keypoints[:, :1, 0] - clip.index[:, :1]
     np.testing.assert_array_equal(clip.keypoints[..., 0] - start, clip.index)
 
 
@@ -69,9 +71,9 @@ def test_a_step_number_decides_its_clips(data):
 
 def test_too_short_trajectories_are_named(data):
     with pytest.raises(KeycldError, match="10 frames but this recipe samples clips of 12"):
-        StartAndLater(2, 3, (6, 12), 10).check(data)
+        StartGroups(2, 3, (6, 12), 10).check(data)
     with pytest.raises(KeycldError, match="no room"):
-        StartAndLater(2, 5, (6, 12), 10)
+        StartGroups(2, 4, (6, 12), 10)
 
 
 class Model(eqx.Module):

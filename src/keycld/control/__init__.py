@@ -13,8 +13,8 @@ from keycld.control.base import lagrangian_of as lagrangian_of
 from keycld.control.energy_shaping import AbstractShaping as AbstractShaping
 from keycld.control.energy_shaping import EnergyShaping as EnergyShaping
 from keycld.control.energy_shaping import PaperLaw as PaperLaw
-from keycld.control.goal import check_reachable as check_reachable
 from keycld.control.goal import goal_of as goal_of
+from keycld.control.goal import nearest_pose as nearest_pose
 from keycld.control.imagination import Imagination as Imagination
 from keycld.control.imagination import Imagined as Imagined
 from keycld.control.loop import Disturbance as Disturbance
@@ -64,7 +64,7 @@ __all__ = [
     "actuators_of",
     "advance",
     "check_limit",
-    "check_reachable",
+    "nearest_pose",
     "fly",
     "goal_of",
     "lagrangian_of",

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from keycld._errors import KeycldError
-from keycld.control.base import lagrangian_of
+from keycld.control.base import lagrangian_of, shared_constants
 from keycld.mechanics import Motion, State
 from keycld.models import AbstractModel
 
@@ -16,7 +16,7 @@ _REACH = 0.15
 
 
 def goal_of(model: AbstractModel, picture: UInt8[np.ndarray, "H W 3"], epsilon: float) -> Float[Array, "dim"]:
-    """x* [2K], the keypoints of a goal image.
+    """x* [2K], the keypoints of a goal image; with the constraints' constants that training measured, if it did.
 
     Args:
         model: with keypoints and a renderer.
@@ -24,7 +24,7 @@ def goal_of(model: AbstractModel, picture: UInt8[np.ndarray, "H W 3"], epsilon: 
         epsilon: ε, the error of the mean image: a pose that the model draws worse than that is none it knows.
 
     Raises:
-        KeycldError: the picture has another size, or shows no pose that the model knows.
+        KeycldError: the picture has another size, or shows no pose that the model knows or that the constraints allow.
     """
     law = lagrangian_of(model)
     nothing = State(Motion(*jnp.zeros((2, 2 * law.masses.shape[0]))), {"constants": jnp.zeros(law.count)})
@@ -42,16 +42,17 @@ def goal_of(model: AbstractModel, picture: UInt8[np.ndarray, "H W 3"], epsilon: 
             f"by {error:.1e}, more than the mean image does (ε = {epsilon:.1e}); give a picture of the system from the "
             "same camera."
         )
-    return seen
+    constants = shared_constants(model)
+    return seen if constants is None else nearest_pose(model, seen, constants)
 
 
-def check_reachable(model: AbstractModel, goal: Float[Array, "dim"], constants: Float[Array, "n"]) -> None:
-    """Refuse a goal that the constraints do not allow.
+def nearest_pose(model: AbstractModel, goal: Float[Array, "dim"], constants: Float[Array, "n"]) -> Float[Array, "dim"]:
+    """The pose nearest to a goal that the constraints allow.
 
     Args:
         model: with constraints.
         goal: x*.
-        constants: Φ of the system as it is seen at the start; the goal's must be near, since they never change.
+        constants: Φ of the system; the goal's must be near, since they never change.
 
     Raises:
         KeycldError: the nearest pose with these constants is too far from the goal.
@@ -63,6 +64,7 @@ def check_reachable(model: AbstractModel, goal: Float[Array, "dim"], constants: 
             f"the goal image shows a pose that the constraints keep the system from: the nearest one is {distance:.2f} "
             f"image-plane units away, more than {_REACH}; give a picture of this very system from the same camera."
         )
+    return nearest
 
 
 @eqx.filter_jit

@@ -62,6 +62,8 @@ class PredictCorrect(AbstractObserver):
         acceleration_error: σₐ, image-plane units/s²: what the model does not know.
         sighting_error: σ_y, image-plane units: of a keypoint in one frame.
         adaptation: ρ, 1/s; zero leaves b at zero.
+        constants: of the constraints, where training has measured them; None: the mean of the last fifty sightings.
+            A pose that training hardly showed is seen with wrong lengths: the upright acrobot's lower link by 7 %.
 
     Good values: σₐ = 10, σ_y = 0.005 (a sixth of a pixel), ρ = 6, some times the √kp of the controller.
     """
@@ -72,6 +74,7 @@ class PredictCorrect(AbstractObserver):
     acceleration_error: float = 10.0
     sighting_error: float = 0.005
     adaptation: float = 6.0
+    constants: Float[Array, " n"] | None = None
 
     def __check_init__(self):
         """Errors are positive."""
@@ -97,7 +100,7 @@ class PredictCorrect(AbstractObserver):
         # The first sighting is where the motion begins.
         begin = State(
             Motion(jnp.where(first, seen, belief.state.coordinates.x), belief.state.coordinates.v),
-            {"constants": jnp.where(first, self.law.constraint(seen), belief.state.parameters["constants"])},
+            {"constants": jnp.where(first, self._lengths(seen), belief.state.parameters["constants"])},
         )
         ahead = self.dynamics.step(begin, u, self.dt).coordinates
         drift = self.law.project_velocity(ahead.x, belief.unmodelled)
@@ -111,7 +114,7 @@ class PredictCorrect(AbstractObserver):
         beta = jnp.maximum(steady_beta, 6 / early)
         old = begin.parameters["constants"]
         share = jnp.where(missing, 0.0, 1 / jnp.minimum(count + 1, _MEMORY))
-        constants = old + share * (self.law.constraint(jnp.where(missing, x0, seen)) - old)
+        constants = old + share * (self._lengths(jnp.where(missing, x0, seen)) - old)
         x = self.law.project_position(x0 + alpha * miss, constants)
         v = jnp.where(first, 0.0, ahead.v + self.dt * drift + beta * miss / self.dt)
         state = State(Motion(x, self.law.project_velocity(x, v)), {"constants": constants})
@@ -120,6 +123,9 @@ class PredictCorrect(AbstractObserver):
         unmodelled = drift + settled * self.adaptation * steady_beta * miss / self.dt
         unmodelled = self.law.project_velocity(x, unmodelled)
         return _choose(first & missing, belief, Belief(state, unmodelled, n + arrived.astype(n.dtype)))
+
+    def _lengths(self, x: Array) -> Array:
+        return self.law.constraint(x) if self.constants is None else self.constants
 
 
 class BackwardDifference(AbstractObserver):

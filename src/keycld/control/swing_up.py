@@ -7,9 +7,17 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
-from keycld.control.base import AbstractController, Idle, RandomInput, actuators_of, check_limit, lagrangian_of
+from keycld.control.base import (
+    AbstractController,
+    Idle,
+    RandomInput,
+    actuators_of,
+    check_limit,
+    lagrangian_of,
+    shared_constants,
+)
 from keycld.control.energy_shaping import EnergyShaping, PaperLaw
-from keycld.control.goal import check_reachable, goal_of
+from keycld.control.goal import goal_of, nearest_pose
 from keycld.control.loop import Disturbance, fly
 from keycld.control.observer import AbstractObserver, BackwardDifference, PredictCorrect
 from keycld.control.outcome import outcome
@@ -103,8 +111,9 @@ def swing_up(
     pilot = Pilot(model, _observer(model, system.dt, assignment), _controller(law, goal, system, assignment), limit)
 
     def on_first(aboard: Aboard) -> None:
+        """Refuse a goal out of reach; one with shared constants was refused before."""
         for k in np.flatnonzero(np.asarray(aboard.belief.sightings)):
-            check_reachable(model, goal, aboard.belief.state.parameters["constants"][k])
+            nearest_pose(model, goal, aboard.belief.state.parameters["constants"][k])
 
     random = np.random.RandomState(assignment.seed)
     positions = np.stack([system.positions(random, slider_limit=1.0) for _ in range(assignment.starts)])
@@ -138,7 +147,8 @@ def _observer(model: AbstractModel, dt: float, assignment: Assignment) -> Abstra
     law = lagrangian_of(model)
     if assignment.observer == "differences":
         return BackwardDifference(law, dt)
-    return PredictCorrect(law, model.dynamics, dt)  # pyright: ignore[reportAttributeAccessIssue]
+    dynamics, constants = model.dynamics, shared_constants(model)  # pyright: ignore[reportAttributeAccessIssue]
+    return PredictCorrect(law, dynamics, dt, constants=constants)
 
 
 def _controller(law: Any, goal: Any, system: AbstractMujocoSystem, assignment: Assignment) -> AbstractController:

@@ -5,7 +5,7 @@ from keycld.data.clips import AbstractSampler as AbstractSampler
 from keycld.data.clips import Clip as Clip
 from keycld.data.clips import RandomFrames as RandomFrames
 from keycld.data.clips import Resident as Resident
-from keycld.data.clips import StartAndLater as StartAndLater
+from keycld.data.clips import StartGroups as StartGroups
 from keycld.data.clips import WholeTrajectories as WholeTrajectories
 from keycld.data.clips import resident as resident
 from keycld.data.dataset import DataSet as DataSet
@@ -37,7 +37,7 @@ __all__ = [
     "Progress",
     "RandomFrames",
     "Resident",
-    "StartAndLater",
+    "StartGroups",
     "Sweep",
     "Trajectories",
     "WholeTrajectories",

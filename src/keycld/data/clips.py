@@ -96,55 +96,58 @@ class RandomFrames(AbstractSampler):
         return _gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1)
 
 
-class StartAndLater(AbstractSampler):
-    """The first frames and a few random later ones: a long horizon for the price of a few pictures.
+class StartGroups(AbstractSampler):
+    """A few groups of consecutive frames at random places of a window: each can start a motion through all others.
 
-    The horizon grows with the steps, because a motion that starts a little wrong is lost after a long time and teaches
-    nothing there. All horizons share one compiled step.
+    A long horizon for the price of a few pictures, and every frame is a start as often as it is a target. The window
+    grows with the steps, because a motion that starts a little wrong is lost after a long time and teaches
+    nothing there. All windows share one compiled step.
 
     - `batch`: clips a step.
-    - `later`: how many later frames, drawn without repetition, in order.
-    - `horizons`: how many frames the first and the last possible one span; each holds for an equal part of `steps`.
+    - `groups`: how many, drawn without overlap, in order.
+    - `windows`: frames of the first and of the last possible ones; each holds for an equal part of `steps`.
     - `steps`: of the stage.
     - `cached`: give the keypoints that the stage has cached instead of pictures.
-    - `given`: how many consecutive frames come first; 2 tell position and velocity.
+    - `given`: frames of a group; 2 tell position and velocity.
     """
 
     batch: int = eqx.field(static=True)
-    later: int = eqx.field(static=True)
-    horizons: tuple[int, ...] = eqx.field(static=True)
+    groups: int = eqx.field(static=True)
+    windows: tuple[int, ...] = eqx.field(static=True)
     steps: int = eqx.field(static=True)
     cached: bool = eqx.field(static=True, default=False)
     given: int = eqx.field(static=True, default=2)
 
     def __check_init__(self):
-        """Every horizon has room for the later frames."""
-        least = self.later + self.given
-        if min(self.horizons) < least:
+        """Every window has room for the groups."""
+        least = self.groups * self.given
+        if min(self.windows) < least:
             raise KeycldError(
-                f"a horizon of {min(self.horizons)} frames has no room for {self.given} given and {self.later} later "
-                f"ones; make it {least} or longer, or ask for fewer later frames."
+                f"a window of {min(self.windows)} frames has no room for {self.groups} groups of {self.given} frames; "
+                f"make it {least} or longer, or ask for fewer groups."
             )
 
     def span(self) -> int:
-        """The longest horizon."""
-        return max(self.horizons)
+        """The longest window."""
+        return max(self.windows)
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """Clips drawn uniformly over all trajectories and starts."""
-        trajectory_key, start_key, later_key = jax.random.split(jax.random.fold_in(key, step), 3)
+        """Clips drawn uniformly over all trajectories and places of the window."""
+        keys = jax.random.split(jax.random.fold_in(key, step), 4)
         count, length = data.image.shape[:2]
-        phase = jnp.clip(step * len(self.horizons) // self.steps, 0, len(self.horizons) - 1)
-        horizon = jnp.array(self.horizons)[phase]
-        trajectory = jax.random.randint(trajectory_key, (self.batch,), 0, count)
-        start = jax.random.randint(start_key, (self.batch,), 0, length - horizon + 1)
-        # The frames with the smallest random numbers are a draw without repetition; those too late have none.
-        number = jnp.arange(self.given, self.span())
-        lot = jax.random.uniform(later_key, (self.batch, self.span() - self.given)) + (number >= horizon)[None, :]
-        later = self.given + jnp.sort(jnp.argsort(lot, axis=1)[:, : self.later], axis=1)
-        given = jnp.broadcast_to(jnp.arange(self.given)[None, :], (self.batch, self.given))
-        index = jnp.concatenate([given, later], axis=1)
-        return _gather(data, trajectory, start, index, self.span(), frames=not self.cached)
+        phase = jnp.clip(step * len(self.windows) // self.steps, 0, len(self.windows) - 1)
+        window = jnp.array(self.windows)[phase]
+        trajectory = jax.random.randint(keys[0], (self.batch,), 0, count)
+        start = jax.random.randint(keys[1], (self.batch,), 0, length - window + 1)
+        # Groups fill slots side by side; where there is room all slots are shifted, or no group would begin between.
+        room = jnp.minimum(self.given, window - self.groups * self.given + 1)
+        shift = jax.random.randint(keys[2], (self.batch, 1), 0, room)
+        first = shift + self.given * jnp.arange(self.span() // self.given)[None, :]
+        # The slots with the smallest random numbers are a draw without repetition; those too late have none.
+        lot = jax.random.uniform(keys[3], first.shape) + (first + self.given > window)
+        chosen = jnp.sort(jnp.argsort(lot, axis=1)[:, : self.groups], axis=1)
+        within = jnp.take_along_axis(first, chosen, axis=1)[:, :, None] + jnp.arange(self.given)[None, None, :]
+        return _gather(data, trajectory, start, within.reshape(self.batch, -1), self.span(), frames=not self.cached)
 
 
 class WholeTrajectories(AbstractSampler):

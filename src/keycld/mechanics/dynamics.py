@@ -104,10 +104,11 @@ def joining_velocity(
     def project(x, v):
         return dynamics.law.project_velocity(x, v, parameters)  # pyright: ignore[reportAttributeAccessIssue]
 
-    v = project(x0, (x1 - x0) / dt)
-    for _ in range(iterations):
+    def better(v: Array, _: None) -> tuple[Array, None]:
         reached = dynamics.step(State(Motion(x0, v), parameters), u, dt).coordinates.x
         miss = project(reached, (x1 - reached) / dt)
         shrunk = project(reached, project(x0, miss))
-        v = v + project(x0, 1.5 * miss - 0.5 * shrunk)
-    return v
+        return v + project(x0, 1.5 * miss - 0.5 * shrunk), None
+
+    # Unrolled: as fast as a loop in Python, but traced once.
+    return jax.lax.scan(better, project(x0, (x1 - x0) / dt), length=iterations, unroll=iterations)[0]

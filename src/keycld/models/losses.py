@@ -75,10 +75,10 @@ class VisionLoss(AbstractLoss):
 
 
 class TrackLoss(AbstractLoss):
-    """Learns to move, from cached keypoints: roll-outs start at the given frames of each clip.
+    """Learns to move, from cached keypoints: each group of a clip starts a motion through all groups.
 
-    Mean over frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components, between the roll-out
-    and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
+    Mean over motions and frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components, between
+    the roll-out and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
 
     - `scale`: s, in image-plane units.
     """
@@ -91,16 +91,16 @@ class TrackLoss(AbstractLoss):
         """Evaluates the loss on clips of cached keypoints."""
         assert clips.keypoints is not None
         rolled = _rolled_out(model, clips.keypoints, clips)
-        track = jnp.mean(jnp.sum(_huber(rolled - clips.keypoints, self.scale), axis=-1))
+        track = jnp.mean(jnp.sum(_huber(rolled - clips.keypoints[:, None], self.scale), axis=-1))
         return track, {"track": track}
 
 
 class PredictionLoss(AbstractLoss):
-    """Sees and moves together: everything is drawn from the motion that starts at the given frames.
+    """Sees and moves together: each group of a clip starts a motion, and every frame is drawn from one of them.
 
-    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² + `constraint` · unevenness of Φ
-    + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint sets start a long motion, which
-    is what decides a prediction.
+    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² over all motions and frames
+    + `constraint` · unevenness of Φ + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint
+    sets start a long motion, which is what decides a prediction.
 
     - `track`: weight of the squared distance in image-plane units; 3000 makes an eighth of a pixel cost what an
       ordinary reconstruction error costs.
@@ -115,17 +115,22 @@ class PredictionLoss(AbstractLoss):
     def __call__(
         self, model: KeyCLD, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluates the loss on clips whose first two frames are consecutive."""
+        """Evaluates the loss on clips of groups of consecutive frames."""
         assert clips.frames is not None
         batch, count, height, width, _ = clips.frames.shape
         frames = clips.frames.reshape(-1, height, width, 3)
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
-        drawn = jax.vmap(model.renderer)(rolled.reshape(frames.shape[0], -1, 2))
+        # The motion that a frame is drawn from: each group's frames from the same one, in a random order.
+        groups = rolled.shape[1]
+        turn = jax.random.randint(key, (batch, 1), 0, groups)
+        source = (jnp.arange(count)[None, :] // model.context + turn) % groups
+        chosen = rolled[jnp.arange(batch)[:, None], source, jnp.arange(count)[None, :]]
+        drawn = jax.vmap(model.renderer)(chosen.reshape(frames.shape[0], -1, 2))
         terms = {
             "reconstruction": squared_error(drawn, frames),
-            "track": jnp.mean(jnp.sum(_huber(rolled - x, self.scale), axis=-1)),
+            "track": jnp.mean(jnp.sum(_huber(rolled - x[:, None], self.scale), axis=-1)),
             "constraint": jnp.sum(_unevenness(model, x.reshape(batch * count, -1))[0]),
             "heat_map": _focus(seen.heat_maps, seen.keypoints, (height, width), self.sigma),
         }
@@ -174,11 +179,29 @@ class CollocationLoss(AbstractLoss):
 
 
 def _rolled_out(model: KeyCLD, seen: Array, clips: Clip) -> Array:
-    """Positions `[batch, F, 2K]` at the clips' frames, of motions that start at the first sightings."""
+    """Positions `[batch, groups, F, 2K]` at the clips' frames, of the motions that each group of sightings starts."""
+    given, steps = model.context, jnp.arange(clips.span - 1)
+
+    def inputs(u: Array, frames: Array) -> Array:
+        # Beyond the clip nothing is read, so any input will do.
+        return u if u.ndim == 1 else u[jnp.clip(frames, 0, clips.span - 1)]
+
+    def motion(x: Array, first: Array, index: Array, u: Array, dt: Array) -> Array:
+        start = model.start(model.dynamics, x, dt, inputs(u, first + jnp.arange(given)))
+        now = first + model.start.anchor
+
+        def path(sign: Array) -> Array:
+            frames = jnp.where(sign > 0, now + steps, now - steps[::-1] - 1)
+            return model.rollout(start, sign * dt, inputs(u, frames), clips.span - 1).coordinates.x
+
+        # Both directions as a batch of two: one program, half as many small steps.
+        future, past = jax.vmap(path)(jnp.array([1.0, -1.0]))
+        ahead = index - now
+        return jnp.where((ahead >= 0)[:, None], future[jnp.maximum(ahead, 0)], past[jnp.maximum(-ahead, 0)])
 
     def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
-        start = model.start(model.dynamics, x[: model.context], dt, u)
-        return model.unroll(start, model.start.anchor, dt, u, clips.span).coordinates.x[index]
+        groups = x.reshape(-1, given, x.shape[-1])
+        return jax.vmap(motion, in_axes=(0, 0, None, None, None))(groups, index[::given], index, u, dt)
 
     return jax.vmap(one)(seen, clips.index, clips.u, clips.dt)
 

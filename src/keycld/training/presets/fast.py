@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
-from keycld.data import RandomFrames, StartAndLater
+from keycld.data import RandomFrames, StartGroups
 from keycld.mechanics import (
     RK4,
     AffineMLPInputMatrix,
@@ -45,7 +45,7 @@ class FastRecipe(AbstractRecipe):
 
     1. `vision`: single frames; reconstruction, focused heat maps, constant constraint values.
     2. `dynamics`: roll-outs on cached keypoints, no pictures.
-    3. `joint`: everything together, drawn from motions that start at two given frames.
+    3. `joint`: everything together, drawn from motions that start at two frames anywhere.
     4. `long`: the same to the end of the recordings; then the validation score.
 
     Before 3 and 4 least squares fit the dynamics to whole trajectories.
@@ -58,7 +58,7 @@ class FastRecipe(AbstractRecipe):
     - `candidates`, `trial`: random starts of the vision stage that are tried for so many steps; the best goes on.
     - `*_steps`, `*_batch`, `*_rate`: of each stage.
     - `given`: frames that a prediction starts from; 3 in the 2024 protocol.
-    - `later`: later frames drawn a clip. `*_horizons`: frames that a clip spans, growing during the stage.
+    - `groups`: of so many frames each in a clip. `*_horizons`: frames that a clip spans, growing during the stage.
     """
 
     width: int = 16
@@ -73,7 +73,7 @@ class FastRecipe(AbstractRecipe):
     vision_batch: int = 16
     vision_rate: float = 1e-2
     dynamics_steps: int = 600
-    dynamics_batch: int = 64
+    dynamics_batch: int = 16
     dynamics_rate: float = 1e-2
     dynamics_horizons: tuple[int, ...] = (8, 24)
     joint_steps: int = 2000
@@ -83,7 +83,7 @@ class FastRecipe(AbstractRecipe):
     joint_batch: int = 2
     joint_rate: float = 2e-3
     energy_rate: float = 1e-3
-    later: int = 6
+    groups: int = 4
     given: int = 2
 
     def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> KeyCLD:
@@ -160,10 +160,10 @@ class FastRecipe(AbstractRecipe):
         # Affine energies and inputs first: with noisy keypoints the perceptrons would learn the noise.
         frozen = {} if kind == "node2" else {f"dynamics.law.{part}.perceptron": 0.0 for part in _AFFINE}
 
-        def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartAndLater:
+        def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartGroups:
             within = tuple(min(horizon, scene.frames) for horizon in horizons)
-            later = min(self.later, max(0, min(within) - self.given))
-            return StartAndLater(batch, later, within, steps, cached, self.given)
+            groups = min(self.groups, max(1, min(within) // self.given))
+            return StartGroups(batch, groups, within, steps, cached, self.given)
 
         dynamics = Stage(
             name="dynamics",
