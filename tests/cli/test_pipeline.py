@@ -45,14 +45,22 @@ def place(tmp_path_factory, trained):
     return shutil.copytree(trained, tmp_path_factory.mktemp("pipeline"), dirs_exist_ok=True)
 
 
-def test_a_killed_training_ends_with_the_bits_of_the_run_whose_config_it_was_given(place):
-    """kill -9 as soon as a checkpoint in the middle of the last stage is there; the same command goes on."""
+def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
+    """kill -9 as soon as a checkpoint in the middle of the last stage is there; the same command goes on.
+
+    It begins where the stage before has ended, as a run does that was killed there.
+    """
+    shutil.copytree(place / "whole", place / "cut")
+    latest = place / "cut" / "checkpoints" / "latest"
+    latest.write_text("02-joint-000006")
+    for later in latest.parent.glob("03-long-*"):
+        shutil.rmtree(later)
     arguments = ["train", "--config", "whole/config.json", "--out", "cut", "--log-every", "2"]
     arguments += ["--checkpoint-seconds", "0"]
     command = [sys.executable, "-m", "keycld.cli.main", *arguments]
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    latest, deadline = place / "cut" / "checkpoints" / "latest", time.monotonic() + 300
-    while not (latest.exists() and latest.read_text().startswith("03-long-000002")):
+    deadline = time.monotonic() + 300
+    while not latest.read_text().startswith("03-long-000002"):
         assert process.poll() is None, "the training ended before it could be killed"
         assert time.monotonic() < deadline
     os.kill(process.pid, signal.SIGKILL)
@@ -62,27 +70,27 @@ def test_a_killed_training_ends_with_the_bits_of_the_run_whose_config_it_was_giv
     assert weights(place / "cut") == weights(place / "whole")
 
 
-def test_eval_predict_and_report(place):
+def test_eval_predict_and_report(here, place):
     answer = keycld("eval", "whole", folder=place)
     assert answer.returncode == 0, answer.stderr
     assert "mean image" in answer.stdout  # a trivial baseline stands beside every result
     scores = [json.loads(p.read_text()) for p in (place / "whole" / "evaluation").glob("*.json")]
     assert any(0 <= s["vpt"]["1"]["mean"] <= 1 for s in scores if "vpt" in s)
 
-    answer = keycld("predict", "whole", "--data", "mine/test.h5", "--out", "predictions.h5", folder=place)
-    assert answer.returncode == 0, answer.stderr
+    code, message = here("predict", "whole", "--data", "mine/test.h5", "--out", "predictions.h5", folder=place)
+    assert code == 0, message
     with h5py.File(place / "predictions.h5") as file:
         assert file["image"].shape == (6, 12, 16, 16, 3) and file["image"].dtype == np.float32
         assert file["keypoints"].shape == (6, 12, 1, 2)
         assert np.isfinite(file["image"][:]).all()
 
-    answer = keycld("report", "whole", folder=place)
-    assert answer.returncode == 0, answer.stderr
+    code, message = here("report", "whole", folder=place)
+    assert code == 0, message
     page = (place / "whole" / "report.html").read_text()
     assert "</html>" in page and 'src="http' not in page
 
 
-def test_predictions_use_only_the_given_frames_and_inputs(place):
+def test_predictions_use_only_the_given_frames_and_inputs(here, place):
     """Later frames and true states replaced by noise: the same predictions, bit for bit."""
     with h5py.File(place / "mine" / "test.h5") as source, h5py.File(place / "noise.h5", "w") as target:
         for name in source:
@@ -93,8 +101,8 @@ def test_predictions_use_only_the_given_frames_and_inputs(place):
         target["state"][:] = random.normal(size=target["state"].shape)
     for name in ("mine/test.h5", "noise.h5"):
         out = "from-" + name.replace("/", "-")
-        answer = keycld("predict", "whole", "--data", name, "--out", out, folder=place)
-        assert answer.returncode == 0, answer.stderr
+        code, message = here("predict", "whole", "--data", name, "--out", out, folder=place)
+        assert code == 0, message
     with h5py.File(place / "from-mine-test.h5") as first, h5py.File(place / "from-noise.h5") as second:
         np.testing.assert_array_equal(first["image"][:], second["image"][:])
 
@@ -207,24 +215,24 @@ def test_no_gl_is_one_sentence(place):
     assert "Traceback" not in answer.stderr and "libegl1" in answer.stderr
 
 
-def test_the_papers_preset_trains(place):
+def test_the_papers_preset_trains(here, place):
     """arXiv v1's recipe, one epoch, with the released code's optimiser."""
     settings = ["width=8", "epochs=1", "released_optimiser=true"]
-    answer = keycld("train", "mine", "--preset", "paper", "--out", "paper", "--set", *settings, folder=place)
-    assert answer.returncode == 0, answer.stderr
+    code, message = here("train", "mine", "--preset", "paper", "--out", "paper", "--set", *settings, folder=place)
+    assert code == 0, message
     lines = (place / "paper" / "metrics.jsonl").read_text().splitlines()
     assert json.loads(lines[0])["step"] == 6  # one step a training trajectory
 
 
-def test_foreign_data_trains_with_constraints_given_on_the_command_line(place):
+def test_foreign_data_trains_with_constraints_given_on_the_command_line(here, place):
     """No constraints.toml beside the data: --constraints FILE is enough, also to score and predict later."""
     folder = write_data(place / "bare")
     (folder / "constraints.toml").rename(place / "mine.toml")
-    code = keycld("train", "bare", "--out", "bare-run", folder=place)
-    assert code.returncode == 2 and "constraints" in code.stderr
+    code, message = here("train", "bare", "--out", "bare-run", folder=place)
+    assert code == 2 and "constraints" in message
     vision_alone = ["dynamics_steps=0", "joint_steps=0", "long_steps=0"]
     settings = ["--constraints", "mine.toml", "--out", "bare-run", "--set", *SETTINGS, *vision_alone]
-    answer = keycld("train", "bare", *settings, folder=place)
-    assert answer.returncode == 0, answer.stderr
-    answer = keycld("predict", "bare-run", "--data", "bare/test.h5", "--out", "bare.h5", folder=place)
-    assert answer.returncode == 0, answer.stderr
+    code, message = here("train", "bare", *settings, folder=place)
+    assert code == 0, message
+    code, message = here("predict", "bare-run", "--data", "bare/test.h5", "--out", "bare.h5", folder=place)
+    assert code == 0, message

@@ -10,6 +10,7 @@ import pytest
 from keycld._errors import KeycldError
 from keycld.training import finished, load_run, train
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, save_checkpoint
+from keycld.training.presets import FastRecipe
 from scenes import TINY
 
 
@@ -19,8 +20,13 @@ def whole(tmp_path_factory, trained):
     return root, root / "mine", load_run(root / "whole")[0]
 
 
-def leaves(model):
-    return [np.asarray(leaf) for leaf in jax.tree.leaves(model)]
+def assert_same(expected, found):
+    for one, other in zip(jax.tree.leaves(expected), jax.tree.leaves(found), strict=True):
+        np.testing.assert_array_equal(other, one)
+
+
+def steps(run):
+    return [json.loads(line)["step"] for line in (run / "metrics.jsonl").read_text().splitlines()]
 
 
 def cut(root, stage: int, done: bool):
@@ -36,24 +42,40 @@ def cut(root, stage: int, done: bool):
     raise AssertionError(f"no checkpoint of stage {stage}")
 
 
-@pytest.mark.parametrize(("stage", "done"), [(0, False), (1, True)])
-def test_resume_is_bit_exact_in_and_between_stages(whole, stage, done):
-    root, data, model = whole
-    run = cut(root, stage, done)
+def test_resume_within_a_stage_is_bit_exact(whole, monkeypatch):
+    """To the end of that stage, whose checkpoint the uninterrupted run has kept."""
+    root, data, _ = whole
+    stages = FastRecipe.stages
+    monkeypatch.setattr(FastRecipe, "stages", lambda *arguments: stages(*arguments)[:1])
+    run = cut(root, 0, done=False)
     resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2)
-    for expected, found in zip(leaves(model), leaves(resumed), strict=True):
-        np.testing.assert_array_equal(found, expected)
-    steps = [json.loads(line)["step"] for line in (run / "metrics.jsonl").read_text().splitlines()]
-    assert steps == sorted(steps) and steps[-1] == 24
+    (expected,) = load_leaves(root / "whole" / "checkpoints" / "00-vision-000006", (resumed,))
+    assert_same(expected, resumed)
+    assert steps(run) == [4, 6]
+
+
+def test_resume_between_stages_is_bit_exact(whole):
+    root, data, model = whole
+    run = cut(root, 1, done=True)
+    assert_same(model, train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2))
+    assert steps(run) == sorted(steps(run)) and steps(run)[-1] == 24
 
 
 def test_a_finished_run_loads_without_its_data(whole):
     root, _, model = whole
     assert finished(root / "whole")
     loaded, config = load_run(root / "whole")
-    for expected, found in zip(leaves(model), leaves(loaded), strict=True):
-        np.testing.assert_array_equal(found, expected)
+    assert_same(model, loaded)
     assert config.scene["keypoints"] == ["disc"]
+
+
+def test_a_run_with_settings_of_an_older_recipe_still_loads(whole):
+    root, _, model = whole
+    old = shutil.copytree(root / "whole", root / "old")
+    config = json.loads((old / "config.json").read_text())
+    config["settings"]["no_longer_there"] = 6
+    (old / "config.json").write_text(json.dumps(config))
+    assert_same(model, load_run(old)[0])
 
 
 def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_path):

@@ -135,9 +135,14 @@ def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[Abstr
 
 
 def blank_model(config: RunConfig, constraint: Callable) -> AbstractModel:
-    """A model of a run's shape with fresh weights; needs no data."""
+    """A model of a run's shape with fresh weights; needs no data.
+
+    Settings that the recipe no longer has are passed over: a run of an older version says by them how it was trained.
+    """
     scene = Scene(**{**config.scene, "keypoints": tuple(config.scene["keypoints"])}, constraint=constraint)
-    return make_recipe(config.preset, config.settings).model(scene, jax.random.key(0), config.model)
+    known = {field.name for field in dataclasses.fields(recipe_class(config.preset))}
+    settings = {name: value for name, value in config.settings.items() if name in known}
+    return make_recipe(config.preset, settings).model(scene, jax.random.key(0), config.model)
 
 
 def finished(run: str | Path) -> bool:
