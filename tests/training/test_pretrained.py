@@ -35,7 +35,7 @@ def test_it_predicts_the_last_frame_from_the_first_two(name):
     predict = eqx.filter_jit(lambda frames, u: model.predict(frames, dt, u, length).frames[-1])
     error = [float(jnp.mean((predict(frames[:2], v) - frames[-1]) ** 2)) for frames, v in zip(image, u, strict=True)]
     still = np.mean((image[:, 1] - image[:, -1]) ** 2, axis=(1, 2, 3))
-    assert np.median(error) < 0.25 * EPSILON[name] < np.median(still)
+    assert np.median(error) < 0.5 * EPSILON[name] < np.median(still)
 
 
 def test_its_run_folder_is_made_where_it_is_missing(tmp_path, monkeypatch):
