@@ -107,11 +107,6 @@ def lagrangian_of(model: AbstractModel) -> ConstrainedLagrangian:
     return law
 
 
-def shared_constants(model: AbstractModel) -> Float[Array, "n"] | None:
-    """Values of the constraints that training measured over all pictures; None where each trajectory has its own."""
-    return getattr(getattr(model, "start", None), "constants", None)
-
-
 def actuators_of(names: tuple[str, ...], chosen: tuple[str, ...] | None) -> tuple[int, ...]:
     """The numbers of the inputs that act.
 

@@ -7,9 +7,9 @@ import numpy as np
 from jaxtyping import Array, Float, UInt8
 
 from keycld._errors import KeycldError
-from keycld.control.base import lagrangian_of, shared_constants
+from keycld.control.base import lagrangian_of
 from keycld.mechanics import Motion, State
-from keycld.models import AbstractModel
+from keycld.models import AbstractModel, shared_constants
 
 _REACH = 0.15
 """Image-plane units (five pixels of 64) between a goal and the nearest pose that the constraints allow."""

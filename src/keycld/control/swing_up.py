@@ -14,7 +14,6 @@ from keycld.control.base import (
     actuators_of,
     check_limit,
     lagrangian_of,
-    shared_constants,
 )
 from keycld.control.energy_shaping import EnergyShaping, PaperLaw
 from keycld.control.goal import goal_of, nearest_pose
@@ -25,7 +24,7 @@ from keycld.control.pilot import Aboard, Pilot
 from keycld.control.plant import Plant
 from keycld.control.tracking import PlanAndTrack
 from keycld.evaluation import Evaluation
-from keycld.models import AbstractModel
+from keycld.models import AbstractModel, shared_constants
 from keycld.systems import AbstractMujocoSystem, AbstractSystem
 
 LAWS = ("shaping", "paper", "mpc", "zero", "random")

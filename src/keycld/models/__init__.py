@@ -13,6 +13,7 @@ from keycld.models.starts import AbstractStart as AbstractStart
 from keycld.models.starts import CentralStart as CentralStart
 from keycld.models.starts import DifferenceStart as DifferenceStart
 from keycld.models.starts import FittedStart as FittedStart
+from keycld.models.starts import shared_constants as shared_constants
 
 __all__ = [
     "AbstractLoss",
@@ -28,4 +29,5 @@ __all__ = [
     "ShortRolloutLoss",
     "TrackLoss",
     "VisionLoss",
+    "shared_constants",
 ]

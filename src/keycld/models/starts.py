@@ -143,6 +143,11 @@ class CentralStart(AbstractStart):
         return State(Motion(x[1], allowed_velocity(dynamics, x[1], v)), held(dynamics, x[1]))
 
 
+def shared_constants(model: eqx.Module) -> Float[Array, " n"] | None:
+    """Values of the constraints that training measured over all pictures; None where each trajectory has its own."""
+    return getattr(getattr(model, "start", None), "constants", None)
+
+
 def held(dynamics: AbstractDynamics, x: Float[Array, "dim"]) -> dict[str, Array]:
     """What stays constant along a motion through x: the constraints' values, where the law has constraints."""
     law = getattr(dynamics, "law", None)

@@ -11,6 +11,7 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, fit_motions
+from keycld.models import shared_constants
 
 _FITTED = 150
 """Trajectories in a fit of the dynamics; about fifty numbers are sought."""
@@ -44,7 +45,7 @@ def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
 
 def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Puts the mean of Φ over all cached keypoints into a start that shares the constants between trajectories."""
-    if getattr(model.start, "constants", None) is None:
+    if shared_constants(model) is None:
         return model, data
     assert data.keypoints is not None
     values = jax.vmap(model.constraint)(data.keypoints.reshape(-1, data.keypoints.shape[-1]))
@@ -75,7 +76,7 @@ def fit_dynamics(model: Any, data: Resident) -> tuple[Any, Resident]:
         data.u[some],
         data.dt,
         horizons=horizons,
-        constants=getattr(model.start, "constants", None),
+        constants=shared_constants(model),
     )
     return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), data
 
