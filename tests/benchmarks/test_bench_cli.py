@@ -13,11 +13,11 @@ from keycld.benchmarks import suite_named
 from keycld.cli.main import main
 from keycld.data import Trajectories, make_data, write
 from keycld.data.protocols import splits
-from scenes import DT, TINY, disc_pendulum, draw
+from scenes import DT, disc_pendulum, draw
 
-SHORT = TINY | {"dynamics_steps": 0, "long_steps": 0}
-SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in SHORT.items()]
-ONLY = ["--only", "pendulum-node2-0", "--set", *SETTINGS]
+SHORT = {"width": 8, "epochs": 1}
+SETTINGS = [f"{name}={value}" for name, value in SHORT.items()]
+ONLY = ["--only", "pendulum-node2-0", "--preset", "paper", "--set", *SETTINGS]
 
 
 def finished_data(folder):
@@ -60,9 +60,9 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
     assert "done  VPT 0." in answer.stdout and answer.stdout.strip().endswith("1 done")
     (path,) = (tmp_path / "results" / "keycld").rglob("*.json")
     result = json.loads(path.read_text())
-    (experiment,) = suite_named("keycld").select(only="pendulum-node2-0", models=["node2"], settings=SHORT)
+    (experiment,) = suite_named("keycld").select(only="pendulum-node2-0", models=["node2"], preset="paper", settings=SHORT)
     assert result["config_hash"] == experiment.hash() and path.parent.name == experiment.group.split("/")[1]
-    assert result["settings"]["joint_steps"] == TINY["joint_steps"] and result["training"]["frames"] > 0
+    assert result["settings"]["epochs"] == 1 and result["training"]["frames"] > 0
     assert set(result["scores"]) == {"test@50", "validation@50", "test_long@200", "test_long@500"}
 
     before = path.stat().st_mtime_ns

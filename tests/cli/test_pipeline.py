@@ -52,15 +52,15 @@ def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
     """
     shutil.copytree(place / "whole", place / "cut")
     latest = place / "cut" / "checkpoints" / "latest"
-    latest.write_text("02-joint-000006")
-    for later in latest.parent.glob("03-long-*"):
+    latest.write_text("01-dynamics-000006")
+    for later in latest.parent.glob("02-joint-*"):
         shutil.rmtree(later)
     arguments = ["train", "--config", "whole/config.json", "--out", "cut", "--log-every", "2"]
     arguments += ["--checkpoint-seconds", "0"]
     command = [sys.executable, "-m", "keycld.cli.main", *arguments]
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 300
-    while not latest.read_text().startswith("03-long-000002"):
+    while not latest.read_text().startswith("02-joint-000002"):
         assert process.poll() is None, "the training ended before it could be killed"
         assert time.monotonic() < deadline
     os.kill(process.pid, signal.SIGKILL)
