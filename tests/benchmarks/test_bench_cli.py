@@ -60,7 +60,9 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
     assert "done  VPT 0." in answer.stdout and answer.stdout.strip().endswith("1 done")
     (path,) = (tmp_path / "results" / "keycld").rglob("*.json")
     result = json.loads(path.read_text())
-    (experiment,) = suite_named("keycld").select(only="pendulum-node2-0", models=["node2"], preset="paper", settings=SHORT)
+    (experiment,) = suite_named("keycld").select(
+        only="pendulum-node2-0", models=["node2"], preset="paper", settings=SHORT
+    )
     assert result["config_hash"] == experiment.hash() and path.parent.name == experiment.group.split("/")[1]
     assert result["settings"]["epochs"] == 1 and result["training"]["frames"] > 0
     assert set(result["scores"]) == {"test@50", "validation@50", "test_long@200", "test_long@500"}
