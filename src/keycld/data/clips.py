@@ -109,6 +109,8 @@ class StartGroups(AbstractSampler):
     - `steps`: of the stage.
     - `cached`: give the keypoints that the stage has cached instead of pictures.
     - `given`: frames of a group; 2 tell position and velocity.
+    - `begin`: share of the clips whose window and first group are a trajectory's first frames. Predictions start
+      there, often from rest, and postures that all trajectories begin with are rare elsewhere.
     """
 
     batch: int = eqx.field(static=True)
@@ -117,6 +119,7 @@ class StartGroups(AbstractSampler):
     steps: int = eqx.field(static=True)
     cached: bool = eqx.field(static=True, default=False)
     given: int = eqx.field(static=True, default=2)
+    begin: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         """Every window has room for the groups."""
@@ -133,18 +136,20 @@ class StartGroups(AbstractSampler):
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
         """Clips drawn uniformly over all trajectories and places of the window."""
-        keys = jax.random.split(jax.random.fold_in(key, step), 4)
+        keys = jax.random.split(jax.random.fold_in(key, step), 5)
         count, length = data.image.shape[:2]
         phase = jnp.clip(step * len(self.windows) // self.steps, 0, len(self.windows) - 1)
         window = jnp.array(self.windows)[phase]
         trajectory = jax.random.randint(keys[0], (self.batch,), 0, count)
-        start = jax.random.randint(keys[1], (self.batch,), 0, length - window + 1)
+        begins = jax.random.bernoulli(keys[4], self.begin, (self.batch,))
+        start = jnp.where(begins, 0, jax.random.randint(keys[1], (self.batch,), 0, length - window + 1))
         # Groups fill slots side by side; where there is room all slots are shifted, or no group would begin between.
         room = jnp.minimum(self.given, window - self.groups * self.given + 1)
-        shift = jax.random.randint(keys[2], (self.batch, 1), 0, room)
+        shift = jnp.where(begins[:, None], 0, jax.random.randint(keys[2], (self.batch, 1), 0, room))
         first = shift + self.given * jnp.arange(self.span() // self.given)[None, :]
         # The slots with the smallest random numbers are a draw without repetition; those too late have none.
         lot = jax.random.uniform(keys[3], first.shape) + (first + self.given > window)
+        lot = lot.at[:, 0].add(-1.0 * begins)
         chosen = jnp.sort(jnp.argsort(lot, axis=1)[:, : self.groups], axis=1)
         within = jnp.take_along_axis(first, chosen, axis=1)[:, :, None] + jnp.arange(self.given)[None, None, :]
         return _gather(data, trajectory, start, within.reshape(self.batch, -1), self.span(), frames=not self.cached)

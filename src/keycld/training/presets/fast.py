@@ -58,7 +58,8 @@ class FastRecipe(AbstractRecipe):
     - `candidates`, `trial`: random starts of the vision stage that are tried for so many steps; the best goes on.
     - `*_steps`, `*_batch`, `*_rate`: of each stage.
     - `given`: frames that a prediction starts from; 3 in the 2024 protocol.
-    - `groups`: of so many frames each in a clip. `*_horizons`: frames that a clip spans, growing during the stage.
+    - `groups`: of so many frames each in a clip. `begin`: share of the clips that begin where a trajectory does.
+      `*_horizons`: frames that a clip spans, growing during the stage.
     """
 
     width: int = 16
@@ -84,6 +85,7 @@ class FastRecipe(AbstractRecipe):
     joint_rate: float = 2e-3
     energy_rate: float = 1e-3
     groups: int = 4
+    begin: float = 0.5
     given: int = 2
 
     def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> KeyCLD:
@@ -163,7 +165,7 @@ class FastRecipe(AbstractRecipe):
         def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartGroups:
             within = tuple(min(horizon, scene.frames) for horizon in horizons)
             groups = min(self.groups, max(1, min(within) // self.given))
-            return StartGroups(batch, groups, within, steps, cached, self.given)
+            return StartGroups(batch, groups, within, steps, cached, self.given, self.begin)
 
         dynamics = Stage(
             name="dynamics",
