@@ -15,8 +15,9 @@ from keycld.data import Trajectories, make_data, write
 from keycld.data.protocols import splits
 from scenes import DT, disc_pendulum, draw
 
-SHORT = {"width": 8, "epochs": 1}
-SETTINGS = [f"{name}={value}" for name, value in SHORT.items()]
+# arXiv v1's recipe, one epoch, with the released code's optimiser.
+SHORT = {"width": 8, "epochs": 1, "released_optimiser": True}
+SETTINGS = [f"{name}={str(value).lower()}" for name, value in SHORT.items()]
 ONLY = ["--only", "pendulum-node2-0", "--preset", "paper", "--set", *SETTINGS]
 
 
@@ -65,6 +66,8 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
     )
     assert result["config_hash"] == experiment.hash() and path.parent.name == experiment.group.split("/")[1]
     assert result["settings"]["epochs"] == 1 and result["training"]["frames"] > 0
+    metrics = (tmp_path / "runs" / experiment.group / experiment.name / "metrics.jsonl").read_text()
+    assert json.loads(metrics.splitlines()[-1])["step"] == 6  # one step a training trajectory
     assert set(result["scores"]) == {"test@50", "validation@50", "test_long@200", "test_long@500"}
 
     before = path.stat().st_mtime_ns

@@ -215,15 +215,6 @@ def test_no_gl_is_one_sentence(place):
     assert "Traceback" not in answer.stderr and "libegl1" in answer.stderr
 
 
-def test_the_papers_preset_trains(here, place):
-    """arXiv v1's recipe, one epoch, with the released code's optimiser."""
-    settings = ["width=8", "epochs=1", "released_optimiser=true"]
-    code, message = here("train", "mine", "--preset", "paper", "--out", "paper", "--set", *settings, folder=place)
-    assert code == 0, message
-    lines = (place / "paper" / "metrics.jsonl").read_text().splitlines()
-    assert json.loads(lines[0])["step"] == 6  # one step a training trajectory
-
-
 def test_foreign_data_trains_with_constraints_given_on_the_command_line(here, place):
     """No constraints.toml beside the data: --constraints FILE is enough, also to score and predict later."""
     folder = write_data(place / "bare")

@@ -54,11 +54,18 @@ def test_resume_within_a_stage_is_bit_exact(whole, monkeypatch):
     assert steps(run) == [4, 6]
 
 
-def test_resume_between_stages_is_bit_exact(whole):
-    root, data, model = whole
+def test_resume_between_stages_is_bit_exact(whole, monkeypatch):
+    """From the end of one stage to that of the next, which begins with what the first one has learned to see."""
+    root, data, _ = whole
+    stages = FastRecipe.stages
+    monkeypatch.setattr(FastRecipe, "stages", lambda *arguments: stages(*arguments)[:2])
     run = cut(root, 0, done=True)
-    assert_same(model, train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2))
-    assert steps(run) == sorted(steps(run)) and steps(run)[-1] == 18
+    resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2)
+    expected, _ = load_leaves(
+        root / "whole" / "checkpoints" / "01-dynamics-000006", (resumed, np.zeros((6, 12, 2), np.float32))
+    )
+    assert_same(expected, resumed)
+    assert steps(run) == [4, 6, 8, 10, 12]
 
 
 def test_a_finished_run_loads_without_its_data(whole):
