@@ -38,6 +38,15 @@ def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
     assert set(seen[:, 0] % 10 - index[:, 0]) == set(range(5))  # every place that leaves room for the window
 
 
+def test_a_share_of_the_clips_begins_where_a_trajectory_does(data):
+    clip = StartGroups(batch=1000, groups=2, windows=(6,), steps=10, begin=0.5)(data, jax.random.key(0), jnp.array(3))
+    begins = numbers(clip)[:, 0] % 10 == 0
+    # Of the other half a fifth of the windows start there, and the first of their groups two times out of six.
+    assert 0.5 < begins.mean() < 0.65
+    assert (np.asarray(clip.index)[begins][:, :2] == [0, 1]).all()
+    assert set(np.asarray(clip.index)[begins][:, 2]) == {2, 4}
+
+
 def test_the_window_grows_with_the_steps(data):
     sampler = StartGroups(batch=64, groups=2, windows=(4, 7, 10), steps=9)
     last = [int(sampler(data, jax.random.key(0), jnp.array(k)).index.max()) for k in range(9)]
