@@ -1,6 +1,8 @@
 # Each target works from a clean clone: it sets up what it needs first.
 PYTHON ?= python3
 BIN := .venv/bin
+# Packages come without byte code; kept after the first use, or each of many processes compiles them anew, for 6 s.
+export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: setup demo test lint bench clean
 
