@@ -42,30 +42,19 @@ def cut(root, stage: int, done: bool):
     raise AssertionError(f"no checkpoint of stage {stage}")
 
 
-def test_resume_within_a_stage_is_bit_exact(whole, monkeypatch):
-    """To the end of that stage, whose checkpoint the uninterrupted run has kept."""
+@pytest.mark.parametrize(
+    ("done", "last", "logged"), [(False, "00-vision-000006", [4, 6]), (True, "01-dynamics-000006", [4, 6, 8, 10, 12])]
+)
+def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, done, last, logged):
+    """To the end of that stage, or of the next one, whose checkpoint the uninterrupted run has kept."""
     root, data, _ = whole
-    stages = FastRecipe.stages
-    monkeypatch.setattr(FastRecipe, "stages", lambda *arguments: stages(*arguments)[:1])
-    run = cut(root, 0, done=False)
+    stages, count = FastRecipe.stages, 1 + done
+    monkeypatch.setattr(FastRecipe, "stages", lambda *arguments: stages(*arguments)[:count])
+    run = cut(root, 0, done)
     resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2)
-    (expected,) = load_leaves(root / "whole" / "checkpoints" / "00-vision-000006", (resumed,))
+    (expected,) = load_leaves(root / "whole" / "checkpoints" / last, (resumed,))
     assert_same(expected, resumed)
-    assert steps(run) == [4, 6]
-
-
-def test_resume_between_stages_is_bit_exact(whole, monkeypatch):
-    """From the end of one stage to that of the next, which begins with what the first one has learned to see."""
-    root, data, _ = whole
-    stages = FastRecipe.stages
-    monkeypatch.setattr(FastRecipe, "stages", lambda *arguments: stages(*arguments)[:2])
-    run = cut(root, 0, done=True)
-    resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2)
-    expected, _ = load_leaves(
-        root / "whole" / "checkpoints" / "01-dynamics-000006", (resumed, np.zeros((6, 12, 2), np.float32))
-    )
-    assert_same(expected, resumed)
-    assert steps(run) == [4, 6, 8, 10, 12]
+    assert steps(run) == logged
 
 
 def test_a_finished_run_loads_without_its_data(whole):
