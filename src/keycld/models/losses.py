@@ -75,10 +75,10 @@ class VisionLoss(AbstractLoss):
 
 
 class TrackLoss(AbstractLoss):
-    """Learns to move, from cached keypoints: each group of a clip starts a motion through all groups.
+    """Learns to move, from cached keypoints: each group of a clip starts a motion through all later ones.
 
-    Mean over motions and frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components, between
-    the roll-out and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
+    Mean over motions and their frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components,
+    between the roll-out and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
 
     - `scale`: s, in image-plane units.
     """
@@ -91,14 +91,14 @@ class TrackLoss(AbstractLoss):
         """Evaluates the loss on clips of cached keypoints."""
         assert clips.keypoints is not None
         rolled = _rolled_out(model, clips.keypoints, clips)
-        track = jnp.mean(jnp.sum(_huber(rolled - clips.keypoints[:, None], self.scale), axis=-1))
+        track = _miss(rolled, clips.keypoints, model.context, self.scale)
         return track, {"track": track}
 
 
 class PredictionLoss(AbstractLoss):
     """Sees and moves together: each group of a clip starts a motion, and every frame is drawn from one of them.
 
-    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² over all motions and frames
+    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² over all motions and their frames
     + `constraint` · unevenness of Φ + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint
     sets start a long motion, which is what decides a prediction.
 
@@ -122,15 +122,15 @@ class PredictionLoss(AbstractLoss):
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
-        # The motion that a frame is drawn from: each group's frames from the same one, in a random order.
-        groups = rolled.shape[1]
-        turn = jax.random.randint(key, (batch, 1), 0, groups)
-        source = (jnp.arange(count)[None, :] // model.context + turn) % groups
+        # Each group's frames are drawn from its own motion or an earlier one, whichever comes up.
+        own = jnp.arange(rolled.shape[1])[None, :]
+        lot = jax.random.randint(key, (batch, own.size), 0, own + 1)
+        source = jnp.repeat(lot, model.context, axis=1)
         chosen = rolled[jnp.arange(batch)[:, None], source, jnp.arange(count)[None, :]]
         drawn = jax.vmap(model.renderer)(chosen.reshape(frames.shape[0], -1, 2))
         terms = {
             "reconstruction": squared_error(drawn, frames),
-            "track": jnp.mean(jnp.sum(_huber(rolled - x[:, None], self.scale), axis=-1)),
+            "track": _miss(rolled, x, model.context, self.scale),
             "constraint": jnp.sum(_unevenness(model, x.reshape(batch * count, -1))[0]),
             "heat_map": _focus(seen.heat_maps, seen.keypoints, (height, width), self.sigma),
         }
@@ -179,31 +179,35 @@ class CollocationLoss(AbstractLoss):
 
 
 def _rolled_out(model: KeyCLD, seen: Array, clips: Clip) -> Array:
-    """Positions `[batch, groups, F, 2K]` at the clips' frames, of the motions that each group of sightings starts."""
+    """Positions `[batch, groups, F, 2K]` at the clips' frames, of the motions that each group of sightings starts.
+
+    Frames before the one that a motion starts from are as seen.
+    """
     given, steps = model.context, jnp.arange(clips.span - 1)
 
     def inputs(u: Array, frames: Array) -> Array:
         # Beyond the clip nothing is read, so any input will do.
         return u if u.ndim == 1 else u[jnp.clip(frames, 0, clips.span - 1)]
 
-    def motion(x: Array, first: Array, index: Array, u: Array, dt: Array) -> Array:
-        start = model.start(model.dynamics, x, dt, inputs(u, first + jnp.arange(given)))
-        now = first + model.start.anchor
-
-        def path(sign: Array) -> Array:
-            frames = jnp.where(sign > 0, now + steps, now - steps[::-1] - 1)
-            return model.rollout(start, sign * dt, inputs(u, frames), clips.span - 1).coordinates.x
-
-        # Both directions as a batch of two: one program, half as many small steps.
-        future, past = jax.vmap(path)(jnp.array([1.0, -1.0]))
-        ahead = index - now
-        return jnp.where((ahead >= 0)[:, None], future[jnp.maximum(ahead, 0)], past[jnp.maximum(-ahead, 0)])
-
     def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
-        groups = x.reshape(-1, given, x.shape[-1])
-        return jax.vmap(motion, in_axes=(0, 0, None, None, None))(groups, index[::given], index, u, dt)
+        def motion(group: Array, first: Array) -> Array:
+            start = model.start(model.dynamics, group, dt, inputs(u, first + jnp.arange(given)))
+            now = first + model.start.anchor
+            path = model.rollout(start, dt, inputs(u, now + steps), clips.span - 1).coordinates.x
+            ahead = index - now
+            return jnp.where((ahead >= 0)[:, None], path[jnp.maximum(ahead, 0)], x)
+
+        return jax.vmap(motion)(x.reshape(-1, given, x.shape[-1]), index[::given])
 
     return jax.vmap(one)(seen, clips.index, clips.u, clips.dt)
+
+
+def _miss(rolled: Array, seen: Array, given: int, scale: float) -> Array:
+    """Mean distance of motions from sightings, over the frames of each motion's own group and of later ones."""
+    distance = jnp.sum(_huber(rolled - seen[:, None], scale), axis=-1)
+    groups, count = distance.shape[1:]
+    ahead = jnp.arange(count)[None, :] // given >= jnp.arange(groups)[:, None]
+    return jnp.mean(distance, where=ahead[None])
 
 
 def _unevenness(model: KeyCLD, x: Array) -> tuple[Array, Array]:
