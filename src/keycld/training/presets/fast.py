@@ -77,9 +77,9 @@ class FastRecipe(AbstractRecipe):
     dynamics_batch: int = 16
     dynamics_rate: float = 1e-2
     dynamics_horizons: tuple[int, ...] = (8, 24)
-    joint_steps: int = 2000
+    joint_steps: int = 1500
     joint_horizons: tuple[int, ...] = (8, 16, 32)
-    long_steps: int = 4000
+    long_steps: int = 3600
     long_horizons: tuple[int, ...] = (32, 50)
     joint_batch: int = 2
     joint_rate: float = 2e-3
