@@ -30,13 +30,14 @@ dt = jnp.float32(test.dt)
 model = keycld.load("acrobot")
 law = model.law
 
-# %% Where it sees the two keypoints of a picture, in image-plane units: x right, y up, ±1 at the edges.
+# %% Where it sees the two keypoints of a picture, in image-plane units: x right, y up, ±1 at the centres of the
+# outermost pixels.
 frames = jnp.asarray(test.image[0], jnp.float32) / 255
 seen = jax.jit(jax.vmap(model.observe))(frames)
 print("keypoints in the first picture:\n", np.round(seen.keypoints[0], 3))
 
-# %% The radii on which they turn were never given. Φ = (|x1|², |x1 − x2|²) came out constant, because no energies
-# could make sense of keypoints for which it is not.
+# %% The radii on which they turn were never given, only that they are constant: training penalises how much
+# Φ = (|x1|², |x1 − x2|²) varies over the pictures.
 values = jax.vmap(model.constraint)(seen.keypoints.reshape(len(frames), -1))
 print("radii:", np.sqrt(values.mean(0)).round(3), "scatter:", np.sqrt(values).std(0).round(4))
 

@@ -63,7 +63,7 @@ def test_the_hash_knows_what_decides():
     ]
     assert len({experiment.hash() for experiment in (first, *others)}) == 1 + len(others)
     # A setting that is told but is the preset's own changes nothing.
-    same = first.full_settings()["joint_steps"]
+    same = first.recipe().settings()["joint_steps"]
     (told,) = select(only="pendulum-keycld-0", models=["keycld"], settings={"joint_steps": same})
     assert told.hash() == first.hash()
 
@@ -150,6 +150,7 @@ def test_the_journal_version_has_no_published_rows(place):
         ({"models": ["nod2"]}, "did you mean 'node2'"),
         ({"systems": ["pendlum"]}, "did you mean 'pendulum'"),
         ({"preset": "fats"}, "did you mean 'fast'"),
+        ({"preset": "journal"}, "predicts from 3 frames, but the suite keycld gives 2"),
         ({"settings": {"joint_step": 3}}, "did you mean 'joint_steps'"),
         ({"only": "acrobot-node3-0"}, "did you mean 'acrobot-node2-0'"),
     ],

@@ -168,6 +168,8 @@ def test_bad_data_gets_one_sentence_and_code_two(here, tmp_path, change, words):
         (["train", "mine", "--constraints", "none.toml"], ["none.toml"]),
         (["train", "mine", "--out", "file/run", "--set", *SETTINGS], ["cannot write"]),
         (["train"], ["name what to train on"]),
+        (["train", "mine", "--seed", "-1"], ["from 0 to", "not -1"]),
+        (["train", "--config", "whole/config.json", "--seed", "3", "--out", "whole"], ["seed was 0, now 3"]),
         (["trian", "mine"], ["did you mean 'train'"]),
         (["eval", "nowhere"], ["nowhere", "run folder"]),
         (["predict", "whole", "--data", "none.h5", "--out", "p.h5"], ["none.h5"]),

@@ -12,6 +12,7 @@ from true_physics import truth
 from watching import Watcher, picture
 
 from keycld import KeycldError
+from keycld.cli.control import known_inputs
 from keycld.cli.main import main
 from keycld.control import (
     Assignment,
@@ -186,6 +187,17 @@ def test_assignments_that_make_no_sense():
     ):
         with pytest.raises(KeycldError, match=words):
             Assignment(**wrong)
+
+
+def test_inputs_that_never_moved_in_training_do_not_act():
+    names = ("shoulder_torque", "elbow_torque")
+    assert known_inputs(names, None, ()) is None and known_inputs(names, [True, True], ()) is None
+    assert known_inputs(names, [False, True], ()) == ("elbow_torque",)
+    assert known_inputs(names, [True, True], ("elbow_torque",)) == ("elbow_torque",)
+    with pytest.raises(KeycldError, match="shoulder_torque never moved"):
+        known_inputs(names, [False, True], ("shoulder_torque",))
+    with pytest.raises(KeycldError, match="no input ever moved"):
+        known_inputs(names, [False, False], ())
 
 
 def test_the_command_writes_what_it_promises(model, tmp_path, monkeypatch, capsys):

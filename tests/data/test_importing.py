@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, import_video, open_data, read
+from keycld.data import check, import_video, importing, open_data, read
 from keycld.drawing import save_movie
 
 
@@ -91,12 +91,27 @@ def test_bad_wishes(video, tmp_path, changes, words):
     assert not (tmp_path / "a").exists()
 
 
+def test_a_killed_import_is_unfinished_and_taken_up(video, tmp_path, monkeypatch):
+    def dies(folder, made):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(importing, "finish", dies)
+        with pytest.raises(KeyboardInterrupt):
+            import_video(video, tmp_path / "a", size=16, frames=20)
+    with pytest.raises(KeycldError, match="unfinished"):
+        open_data(tmp_path / "a")
+    assert open_data(import_video(video, tmp_path / "a", size=16, frames=20)).train().image is not None
+
+
 def test_bad_files(video, tmp_path):
     with pytest.raises(KeycldError, match="there is no video"):
         import_video(tmp_path / "missing.mp4", tmp_path / "a")
     (tmp_path / "text.mp4").write_text("not a video")
     with pytest.raises(KeycldError, match="cannot be read as a video"):
         import_video(tmp_path / "text.mp4", tmp_path / "a")
+    with pytest.raises(KeycldError, match="'pendulum' would be taken for our own system"):
+        import_video(video, tmp_path / "pendulum", size=16, frames=20)
     with pytest.raises(KeycldError, match="at least one video"):
         import_video([], tmp_path / "a")
     out = import_video(video, tmp_path / "b", size=16, frames=20)

@@ -33,6 +33,12 @@ def test_data_of_the_journal_version_give_three_frames(tmp_path):
     assert (found.name, found.given, found.horizon) == ("test@12-given-3", 3, 12)
 
 
+def test_a_model_that_starts_from_three_frames_gets_three(tmp_path):
+    write(tmp_path / "test.h5", scenes.disc_pendulum(1, 12, seed=0))
+    (found,) = protocols_for(DataSet(tmp_path, None), needed=3)
+    assert (found.name, found.given) == ("test@12-given-3", 3)
+
+
 def test_shorter_recordings_are_scored_to_their_end(tmp_path):
     for name, frames in (("test", 12), ("validation", 60), ("test_long", 250)):
         write(tmp_path / f"{name}.h5", scenes.disc_pendulum(1, frames, seed=0))

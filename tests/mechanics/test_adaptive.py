@@ -39,6 +39,14 @@ def test_free_fall():
     np.testing.assert_allclose(height, 2.0 * 0.5 - 9.81 / 2 * 0.25, rtol=1e-4)
 
 
+def test_a_motion_that_diverges_is_not_a_number_and_harms_no_other():
+    """a = v² x⁴ reaches infinity in finite time."""
+    system = law([1.0], None, potential=lambda x: -1e4 * jnp.sum(x**4))
+    still = State(Motion(jnp.array([[0.0, 0.0], [9.0, 9.0]]), jnp.zeros((2, 2))), {})
+    height = jax.vmap(lambda state: adaptive(system, state, jnp.zeros(0), 0.5, 3).x)(still)
+    assert np.all(height[0] == 0) and np.isnan(height[1, -1]).all()
+
+
 def test_mistakes():
     system = law([1.0], None)
     with pytest.raises(KeycldError, match="5 steps needs 5 inputs, not 4"):

@@ -110,6 +110,19 @@ def test_a_given_frame_with_nan_is_named(model):
         model.predict(frames, DT, jnp.zeros(1), 5)
 
 
+@pytest.mark.parametrize(
+    ("frames", "u", "words"),
+    [
+        ((1, 16, 16, 3), (1,), "from 2 frames or more.*not from .1, 16, 16, 3"),
+        ((2, 16, 24, 3), (1,), "16 × 16 pixels.*16, 24, 3"),
+        ((2, 16, 16, 3), (2,), "has 1 inputs, not 2"),
+    ],
+)
+def test_pictures_and_inputs_of_another_system_are_named(model, frames, u, words):
+    with pytest.raises(KeycldError, match=words):
+        model.predict(jnp.full(frames, 0.5), DT, jnp.zeros(u), 5)
+
+
 def test_varying_input_equals_constant_input_when_it_is_constant():
     model = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(3))
     model = eqx.tree_at(lambda m: m.dynamics.law.input_matrix.bias, model, jnp.array([5.0, 2.0]))

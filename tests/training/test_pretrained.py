@@ -14,6 +14,7 @@ from keycld import KeycldError
 from keycld.control import Plant
 from keycld.systems import get
 from keycld.training import load_run, pretrained, run_folder
+from keycld.training.checkpoints import latest_checkpoint, read_position
 
 GOLDEN = Path(__file__).parent.parent / "systems" / "golden"
 # Of the validation pictures (docs/data.md): beyond it a picture is no better than the mean picture.
@@ -45,5 +46,9 @@ def test_its_run_folder_is_made_where_it_is_missing(tmp_path, monkeypatch):
     assert config.system == "pendulum" and json.loads((folder / "config.json").read_text())["seed"] == config.seed
     for packed, found in zip(jax.tree.leaves(keycld.load("pendulum")), jax.tree.leaves(model), strict=True):
         np.testing.assert_array_equal(packed, found)
+    position = latest_checkpoint(folder) / "position.json"
+    position.write_text(json.dumps(read_position(position.parent) | {"weights": "of another version"}))
+    (folder / "report.html").write_text("of another version")
+    assert run_folder("pendulum") == folder and not (folder / "report.html").exists()
     with pytest.raises(KeycldError, match="did you mean 'pendulum'"):
         run_folder("pendulm")

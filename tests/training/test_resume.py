@@ -78,6 +78,16 @@ def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_
     root, data, model = whole
     with pytest.raises(KeycldError, match="seed was 0, now 1"):
         train(data, root / "whole", settings=TINY, seed=1)
+    with pytest.raises(KeycldError, match="settings.joint_rate was .*, now 0.5"):
+        train(data, root / "whole", settings=TINY | {"joint_rate": 0.5})
+
+
+def test_what_the_recipe_refuses_leaves_no_folder(whole, tmp_path):
+    _, data, _ = whole
+    for refused in ({"width": 12}, {"given": 1}):
+        with pytest.raises(KeycldError):
+            train(data, tmp_path / "run", settings=TINY | refused)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_half_written_checkpoint_is_not_used(tmp_path):

@@ -11,7 +11,7 @@ from keycld import systems
 from keycld.data import make_data
 from keycld.evaluation import Protocol
 from keycld.mechanics import dump_constraints
-from keycld.training import make_recipe
+from keycld.training import AbstractRecipe, make_recipe
 
 
 @dataclass(frozen=True)
@@ -84,20 +84,20 @@ class Experiment:
         given = {"given": self.protocols[0].given} if self.preset == "fast" else {}
         return given | self.settings
 
-    def full_settings(self) -> dict[str, Any]:
-        """All settings of the preset, those that nobody changed too.
+    def recipe(self) -> AbstractRecipe:
+        """The preset with the changed settings.
 
         Raises:
             KeycldError: the preset does not exist, or has no such setting.
         """
-        return make_recipe(self.preset, self.changed_settings()).settings()
+        return make_recipe(self.preset, self.changed_settings())
 
     def hash(self) -> str:
         """Of all that decides the outcome: model, preset, all its settings, seed, constraints, data recipe."""
         decides = {
             "model": self.model,
             "preset": self.preset,
-            "settings": self.full_settings(),
+            "settings": self.recipe().settings(),
             "seed": self.seed,
             "constraints": dump_constraints(systems.get(self.data.system).constraints),
             "data": dataclasses.asdict(self.data),

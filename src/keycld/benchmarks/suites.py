@@ -56,7 +56,7 @@ class Suite:
             settings: of the preset, where they are not its own.
 
         Raises:
-            KeycldError: something does not exist, or nothing fits.
+            KeycldError: something does not exist, nothing fits, or the preset needs more frames than are given.
         """
         for kind, given, known in (("system", systems, _SYSTEMS), ("model", models, MODEL_TITLES)):
             for name in given:
@@ -69,7 +69,13 @@ class Suite:
             for data in self.data
             if not systems or data.system in systems
         ]
-        found[0].full_settings()  # a preset or setting that does not exist is noticed before anything is done
+        # A preset or setting that does not exist, or does not fit, is noticed before anything is done.
+        needed, least = found[0].recipe().context, min(protocol.given for protocol in self.protocols)
+        if needed > least:
+            raise KeycldError(
+                f"preset '{preset}' predicts from {needed} frames, but the suite {self.name} gives {least}: "
+                "take the suite keycld-2024."
+            )
         fitting = tuple(experiment for experiment in found if only in experiment.name)
         if not fitting:
             raise unknown("experiment", only, [experiment.name for experiment in found])

@@ -38,7 +38,7 @@ def control(
         kp: Stiffness by mass, 1/s²; small deviations swing with √kp rad/s.
         kd: Damping by mass, 1/s.
         limit: The largest |u|; none unless told. mpc and random need one; the usual training data have 3.
-        actuators: The inputs that act, by name; all unless told.
+        actuators: The inputs that act, by name; unless told all that moved in the training data.
         seconds: How long.
         starts: How many random starts; the first one is timed and shown.
         seed: Of starts and noise.
@@ -56,12 +56,13 @@ def control(
 
     folder = run_folder(run)
     model, config = load_run(folder)
+    system = get(config.system)
     assignment = Assignment(
         law=law,
         kp=kp,
         kd=kd,
         limit=limit,
-        actuators=actuators or None,
+        actuators=known_inputs(system.input_names, config.moved_inputs, actuators),
         seconds=seconds,
         starts=starts,
         seed=seed,
@@ -71,7 +72,7 @@ def control(
     picture = None if goal == "upright" else _picture(Path(goal))
     result = swing_up(
         model,
-        get(config.system),
+        system,
         threshold_of(model, config),
         picture,
         assignment,
@@ -85,6 +86,25 @@ def control(
     print(f"stored: {path}, {movie}, {figure}")
     if out is None:
         print(f"next: keycld report {run}")
+
+
+def known_inputs(names: tuple[str, ...], moved: list[bool] | None, chosen: tuple[str, ...]) -> tuple[str, ...] | None:
+    """The inputs that are to act: those that were chosen, else those whose effect the training could show; None: all.
+
+    Raises:
+        KeycldError: an input is to act that never moved in the training data, or there is none that did.
+    """
+    if moved is None or all(moved):
+        return chosen or None
+    known = tuple(name for name, did in zip(names, moved, strict=True) if did)
+    blind = [name for name in chosen if name in names and name not in known]
+    if not known or blind:
+        what = f"{blind[0]} never moved" if blind else "no input ever moved"
+        raise KeycldError(
+            f"{what} in the data that this model was trained on, so it knows nothing of the effect: train on data that "
+            "`keycld data make SYSTEM --control full` makes."
+        )
+    return chosen or known
 
 
 def _picture(path: Path) -> Any:

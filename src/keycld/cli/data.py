@@ -42,7 +42,7 @@ def make(
         clip: Whether the motors limit the input to their range. Default: the protocol's.
         input: Whether the input is constant in a run or a random-walk held for a frame. Default: constant.
         size: full is the published size of the md and room sets, which takes hours; the others are full by default.
-        store: states (drawn when they are read or trained on) or images. Default: states where that can be.
+        store: states (drawn when they are read) or images. Default: states where that can be.
         train: Runs for training, for a smaller set; toy, games, md and room: with those of validation.
         validation: Runs for validation.
         test: Runs for the test.

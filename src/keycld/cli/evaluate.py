@@ -20,12 +20,13 @@ def evaluate(
 
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
-        data: Data set to score on; the one it was trained on unless told.
+        data: Data set to score on; the one it was trained on unless told. Results on another one have its name in
+            theirs, such as test@50-mine.
         protocols: Such as test@50, validation@50, test_long@200, test_long@500, or test@50-given-3; all that the data
             has files for unless told.
     """
     from keycld.cli.making import data_for
-    from keycld.data import open_data
+    from keycld.data import open_data, sha256
     from keycld.evaluation import evaluate as score
     from keycld.evaluation import evaluate_sweeps, protocol_named, protocols_for, references, save_evaluation, summary
     from keycld.training import finished, load_run, pretrained, run_folder
@@ -42,14 +43,16 @@ def evaluate(
                 raise KeycldError(f"{data}, which {folder} was trained on, is not there: name a data set with --data.")
             data = str(data_for(config.system))
     dataset = open_data(data)
-    chosen = [protocol_named(name) for name in protocols] or protocols_for(dataset)
+    chosen = [protocol_named(name) for name in protocols] or protocols_for(dataset, model.context)
     if not chosen:
         raise KeycldError(f"{dataset.folder} has no file that a protocol scores (test.h5, validation.h5, …).")
     shared = references(dataset)
+    own = data == config.data or run in pretrained() or sha256(dataset.path("train")) == config.data_hash
+    suffix = "" if own else f"-{dataset.folder.resolve().name}"
     for protocol in chosen:
         result = score(model, dataset, protocol, shared=shared)
-        save_evaluation(folder, protocol.name, result)
+        save_evaluation(folder, protocol.name + suffix, result)
         print(summary(result.scores), flush=True)
-    if "sweeps" in dataset.splits:
+    if own and "sweeps" in dataset.splits:
         save_evaluation(folder, "sweeps", evaluate_sweeps(model, dataset))
     print(f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")

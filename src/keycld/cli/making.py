@@ -6,10 +6,12 @@ from pathlib import Path
 
 def data_for(name: str) -> str:
     """The data set for a name or folder; a known system's is made under `data/` first if it is missing."""
+    from keycld.data import unfinished
     from keycld.systems import names
 
-    if name in names() and not (Path("data") / name / "train.h5").exists():
-        print(f"no data for {name} yet: making data/{name}", file=sys.stderr)
+    folder = Path("data") / name
+    if name in names() and (unfinished(folder) or not (folder / "train.h5").exists()):
+        print(f"no whole data for {name} yet: making data/{name}", file=sys.stderr)
         from keycld.cli.data import make
 
         make(name)

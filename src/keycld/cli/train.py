@@ -13,9 +13,9 @@ def train(
     data: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="DATA")] = "",
     /,
     *,
-    model: str = "keycld",
-    preset: str = "fast",
-    seed: int = 0,
+    model: str | None = None,
+    preset: str | None = None,
+    seed: int | None = None,
     out: Path | None = None,
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     constraints: Path | None = None,
@@ -29,19 +29,18 @@ def train(
     Args:
         data: A system (pendulum, cartpole, acrobot), whose data are made first if they are not there, or the folder of
             a data set; your own needs a constraints.toml beside it, or --constraints.
-        model: What to train: keycld, or an ablation: keycld-nc (no constraints), node2 (second-order neural ODE),
-            fc (fully connected networks).
-        preset: The whole recipe: fast (default; minutes on two cores), paper (arXiv v1 as published) or journal (the
-            2024 version); the last two need a GPU.
-        seed: Decides weights and data order. Same seed, machine and settings: same bits.
+        model: What to train: keycld (unless told), or an ablation: keycld-nc (no constraints), node2 (second-order
+            neural ODE), fc (fully connected networks).
+        preset: The whole recipe: fast (unless told; minutes on two cores), paper (arXiv v1 as published) or journal
+            (the 2024 version); the last two need a GPU.
+        seed: Decides weights and data order; 0 unless told. Same seed, machine and settings: same bits.
         out: Run folder; runs/DATA-MODEL-PRESET-SEED unless told.
         set: Settings of the preset to change, such as vision_steps=500 joint_horizons=8,16 width=24.
         constraints: TOML file with the constraints, instead of the data's own.
-        config: A run's config.json: trains the same again. It decides model, preset and seed; a DATA, --set and
-            --constraints given beside it change that part.
+        config: A run's config.json: trains the same again. What is given beside it changes that part.
         track: Where metrics go besides metrics.jsonl: none, wandb, trackio or tensorboard.
-        log_every: Steps between lines of metrics.jsonl.
-        checkpoint_seconds: A killed run loses at most about this much.
+        log_every: Steps between lines of metrics.jsonl; checkpoints are taken at such steps too.
+        checkpoint_seconds: A killed run loses at most about this much, and the steps to the next line.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
@@ -52,10 +51,19 @@ def train(
     chosen = None if constraints is None else load_constraints(constraints)
     if config is not None:
         saved = _read_config(config)
-        data, settings = data or saved["data"], saved["settings"]
-        model, preset, seed = saved["model"], saved["preset"], saved["seed"]
-        if chosen is None and saved["constraints"] is not None:
+        data = data or saved["data"]
+        model, seed = model or saved["model"], saved["seed"] if seed is None else seed
+        # Settings belong to their preset.
+        settings = saved["settings"] if preset in (None, saved["preset"]) else {}
+        preset = preset or saved["preset"]
+        if chosen is None and saved["constraints"] is None:
+            raise KeycldError(
+                f"the run of {config} had a Python function as constraint, which no file can hold: give --constraints, "
+                "or train it from Python."
+            )
+        if chosen is None:
             chosen = parse_constraints(saved["constraints"], f"the constraints in {config}")
+    model, preset, seed = model or "keycld", preset or "fast", seed or 0
     if not data:
         raise KeycldError("name what to train on: `keycld train pendulum`, or the folder of a data set.")
     settings |= dict(parse_setting(text) for text in set)

@@ -10,6 +10,7 @@ from keycld.data.clips import WholeTrajectories as WholeTrajectories
 from keycld.data.clips import resident as resident
 from keycld.data.dataset import DataSet as DataSet
 from keycld.data.dataset import open_data as open_data
+from keycld.data.dataset import unfinished as unfinished
 from keycld.data.drawn import DrawnLater as DrawnLater
 from keycld.data.drawn import with_derivative as with_derivative
 from keycld.data.drawn import with_pictures as with_pictures
@@ -23,6 +24,7 @@ from keycld.data.protocols import PROTOCOLS as PROTOCOLS
 from keycld.data.statistics import image_statistics as image_statistics
 from keycld.data.statistics import sha256 as sha256
 from keycld.data.store import Trajectories as Trajectories
+from keycld.data.store import open_file as open_file
 from keycld.data.store import read as read
 from keycld.data.store import write as write
 from keycld.data.sweeps import Sweep as Sweep
@@ -47,10 +49,12 @@ __all__ = [
     "import_video",
     "make_data",
     "open_data",
+    "open_file",
     "read",
     "resident",
     "sha256",
     "show",
+    "unfinished",
     "with_derivative",
     "with_pictures",
     "write",

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from keycld._errors import KeycldError
+from keycld.data.dataset import unfinished
 from keycld.data.rules import check_images, check_structure
 from keycld.data.statistics import read_statistics, sha256
 from keycld.data.store import open_file
@@ -29,7 +30,7 @@ def _check_folder(folder: Path) -> Iterator[str]:
     files = sorted(folder.glob("*.h5"))
     if not files:
         yield f"{folder} holds no .h5 file: make or import data there first."
-    if (folder / ".partial").exists() and not (folder / "statistics.json").exists():
+    if unfinished(folder):
         yield f"{folder} is unfinished: run the command that made it once more."
     for file in files:
         yield from check(file)

@@ -159,7 +159,7 @@ def open_data(data: str | Path, *, constraints: str | Path | None = None) -> Dat
     folder = _folder(data)
     if not any(folder.glob("*.h5")):
         raise KeycldError(f"{folder} holds no .h5 file: make data there, or import a video into it.")
-    if (folder / PARTIAL).exists() and not (folder / "statistics.json").exists():
+    if unfinished(folder):
         raise KeycldError(f"the data in {folder} are unfinished: run the command that made them once more.")
     if constraints is None:
         beside = folder / CONSTRAINTS
@@ -167,6 +167,11 @@ def open_data(data: str | Path, *, constraints: str | Path | None = None) -> Dat
     if not Path(constraints).is_file():
         raise KeycldError(f"there is no constraints file {constraints}: check the path.")
     return DataSet(folder, Path(constraints))
+
+
+def unfinished(folder: Path) -> bool:
+    """Whether the making of the data there was interrupted."""
+    return (folder / PARTIAL).exists() and not (folder / "statistics.json").exists()
 
 
 def _folder(data: str | Path) -> Path:

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
-from keycld.data.atomic import make_folder
 from keycld.data.dataset import PARTIAL
-from keycld.data.finish import finish
+from keycld.data.finish import claim, finish
 from keycld.data.sampled import validation_count
 from keycld.data.store import Trajectories, join, write
 from keycld.data.tfrecord import Feature, count_records, read_examples, read_features
@@ -45,10 +44,7 @@ def import_suite(folder: str | Path, out: str | Path | None = None) -> Path:
     source = Path(folder)
     system = _system(source)
     out = Path(out) if out is not None else Path("data") / system.name
-    if any(out.glob("*.h5")):
-        raise KeycldError(f"{out} already holds data: choose another folder, or delete it first.")
-    partial = out / PARTIAL
-    make_folder(partial)
+    partial = claim(out)
     features = read_features(source / "features.txt")
     train = source / "train.tfrecord"
     count = count_records(train)

@@ -12,10 +12,10 @@ import numpy as np
 
 from keycld import __version__
 from keycld._errors import KeycldError
-from keycld.data.atomic import make_folder
 from keycld.data.dataset import CONSTRAINTS
-from keycld.data.finish import finish
+from keycld.data.finish import claim, finish
 from keycld.data.store import Trajectories, write
+from keycld.systems import names
 
 _SPLITS = ("train", "validation", "test")
 
@@ -64,8 +64,10 @@ def import_video(
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     _check_numbers(sources, size, fps, frames, skip, validation, test)
     out = Path(out)
-    if any(out.glob("*.h5")):
-        raise KeycldError(f"{out} already holds data: choose another folder, or delete it first.")
+    if out.resolve().name in names():
+        raise KeycldError(
+            f"a folder called '{out.resolve().name}' would be taken for our own system: choose another name for {out}."
+        )
     if constraints is not None:
         from keycld.mechanics import load_constraints
 
@@ -77,7 +79,7 @@ def import_video(
     rate = videos[0][1]
     recordings = np.concatenate([_cut(video, frames) for video, _ in videos])
     counts = _counts(len(recordings), validation, test, frames)
-    make_folder(out)
+    partial = claim(out)
     attributes = {
         "system": out.resolve().name,
         "dt": 1.0 / rate,
@@ -93,6 +95,7 @@ def import_video(
     if constraints is not None:
         shutil.copyfile(constraints, out / CONSTRAINTS)
     finish(out, {"seconds": round(time.monotonic() - began, 1)})
+    shutil.rmtree(partial)
     return out
 
 
@@ -113,18 +116,28 @@ def _check_numbers(
         raise KeycldError(f"validation ({validation}) and test ({test}) are parts that leave some for training.")
 
 
-def _ffmpeg(*arguments: str) -> bytes:
-    """What ffmpeg writes to its output, empty where it fails."""
+def _ffmpeg(path: Path, *arguments: str) -> bytes:
+    """What ffmpeg writes to its output; arguments of the input stand before "-i".
+
+    Raises:
+        KeycldError: it cannot decode all of the file.
+    """
     import imageio_ffmpeg
 
     command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-nostdin", *arguments, "-"]
-    return subprocess.run(command, capture_output=True, check=False).stdout
+    done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode != 0:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        raise KeycldError(
+            f"{path} cannot be read as a video: convert it to MP4 first (ffmpeg: {said[-1] if said else 'no reason'})."
+        )
+    return done.stdout
 
 
 def _probe(path: Path) -> tuple[int, int, Fraction]:
     """Width, height and frames a second, as ffmpeg shows the video (turned upright)."""
     # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
-    head = _ffmpeg("-i", str(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe")
+    head = _ffmpeg(path, "-i", str(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe")
     words = {word[:1]: word[1:] for word in head.split(b"\n")[0].decode("ascii", "replace").split()[1:]}
     try:
         return int(words["W"]), int(words["H"]), Fraction(words["F"].replace(":", "/"))
@@ -145,7 +158,7 @@ def _read_video(
     left, top, side = _square(crop, width, height, path)
     # The rate comes first: it also evens out the varying frame times of phones.
     filters = f"fps={rate},crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
-    raw = _ffmpeg("-ss", str(skip), "-i", str(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo")
+    raw = _ffmpeg(path, "-ss", str(skip), "-i", str(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo")
     frame = size * size * 3
     pictures = np.frombuffer(raw, np.uint8)[: len(raw) // frame * frame].reshape(-1, size, size, 3)
     if not len(pictures):

@@ -247,19 +247,22 @@ def _join_on_disk(parts: Sequence[Path], path: Path) -> None:
             "again."
         )
     counts = [recordings(part) for part in parts]
-    with atomic(path) as temporary, open_file(parts[0]) as first, h5py.File(temporary, "w") as new:
+    # What is wrong while writing must not be blamed on a part: parts are read before anything is written.
+    with open_file(parts[0]) as first:
+        attributes, times = dict(first.attrs), first["time"][...]
+        layout = {name: (first[name].shape[1:], first[name].dtype, first[name].chunks) for name in _fields(first)}
+    with atomic(path) as temporary, h5py.File(temporary, "w") as new:
         file: Any = new
-        file.attrs.update(first.attrs)
-        file["time"] = first["time"][...]
-        for name in _fields(first):
-            old = first[name]
-            stored = _COMPRESSION | {"chunks": old.chunks} if name == "image" else {}
-            file.create_dataset(name, (sum(counts), *old.shape[1:]), old.dtype, **stored)
+        file.attrs.update(attributes)
+        file["time"] = times
+        for name, (shape, kind, chunks) in layout.items():
+            stored = _COMPRESSION | {"chunks": chunks} if name == "image" else {}
+            file.create_dataset(name, (sum(counts), *shape), kind, **stored)
         for row, part in zip(np.cumsum([0, *counts]), parts, strict=False):
             with open_file(part) as source:
-                for name in _fields(source):
-                    if name != "image":
-                        file[name][row : row + len(source[name])] = source[name][...]
+                small = {name: source[name][...] for name in _fields(source) if name != "image"}
+            for name, values in small.items():
+                file[name][row : row + len(values)] = values
             for i, (mask, chunk, _) in enumerate(_chunks(part)):
                 file["image"].id.write_direct_chunk((row + i, 0, 0, 0, 0), chunk, mask)
 

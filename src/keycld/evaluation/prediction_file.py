@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.data import read
+from keycld.data import open_file, read
 from keycld.drawing import replacing
 from keycld.evaluation.predicting import Progress, batch_size, predict
 from keycld.models import AbstractModel
@@ -46,19 +46,18 @@ def predict_file(
     count, length, dt = len(source.input), len(source.time), float(source.attributes["dt"])
     if Path(out).resolve() == Path(data_file).resolve():
         raise KeycldError(f"'{out}' is the data itself: give another file for the predictions.")
-    with h5py.File(data_file) as file, replacing(out) as temporary, h5py.File(temporary, "w") as target:
+    with open_file(data_file) as file:
         if "image" not in file:
             raise KeycldError(f"'{data_file}' has no /image, so there is nothing to predict from: draw it first.")
-        images = file["image"]
-        assert isinstance(images, h5py.Dataset)
-        for name, value in file.attrs.items():
-            target.attrs[name] = value
+        attributes = dict(file.attrs)
+    with replacing(out) as temporary, h5py.File(temporary, "w") as target:
+        target.attrs.update(attributes)
         target.attrs["given_frames"] = given
         target["time"], target["input"] = source.time, source.input
         chunk = batch_size(length) * _CHUNK
         for start in range(0, count, chunk):
             rows = slice(start, min(start + chunk, count))
-            parts = predict(model, images[rows, :given], dt, source.input[rows], length)
+            parts = predict(model, _first_frames(data_file, rows, given), dt, source.input[rows], length)
             for part, found in parts:
                 at = slice(start + part.start, start + part.stop)
                 for name, value in (("image", found.frames), ("keypoints", found.keypoints)):
@@ -67,6 +66,11 @@ def predict_file(
                 if progress is not None:
                     progress(at.stop, count)
     return Path(out)
+
+
+def _first_frames(path: str | Path, rows: slice, given: int) -> np.ndarray:
+    with open_file(path) as file:
+        return file["image"][rows, :given]
 
 
 def _dataset(target: h5py.File, name: str, count: int, part: np.ndarray) -> h5py.Dataset:

@@ -50,35 +50,36 @@ def _protocol(split: str, horizon: int, given: int, shown: int = 6) -> Protocol:
     return Protocol(name, split, horizon, given=given, shown=shown)
 
 
-_GIVEN = {"keycld-2024": 3}
-_PROTOCOLS = {
-    protocol.name: protocol
-    for given in (2, 3)
-    for protocol in (
-        _protocol("test", 50, given),
-        _protocol("validation", 50, given),
-        _protocol("test_long", 200, given, shown=3),
-        _protocol("test_long", 500, given, shown=3),
-    )
-}
-
-
 def standard_protocols(given: int = 2) -> tuple[Protocol, ...]:
     """The standard protocols: the paper's, on unseen and on validation runs, and two longer horizons.
 
     Args:
         given: frames that the model sees: 2 (arXiv v1) or 3 (journal version).
     """
-    return tuple(protocol for protocol in _PROTOCOLS.values() if protocol.given == given)
+    return (
+        _protocol("test", 50, given),
+        _protocol("validation", 50, given),
+        _protocol("test_long", 200, given, shown=3),
+        _protocol("test_long", 500, given, shown=3),
+    )
 
 
-def protocols_for(data: "DataSet") -> tuple[Protocol, ...]:
+_GIVEN = {"keycld-2024": 3}
+_NAMED = {protocol.name: protocol for given in (2, 3) for protocol in standard_protocols(given)}
+
+
+def protocols_for(data: "DataSet", needed: int = 2) -> tuple[Protocol, ...]:
     """The standard protocols that the files of a data set allow; shorter recordings are scored to their end.
 
     Data made by the journal version's protocol give three frames, all others two.
+
+    Args:
+        data: the data set.
+        needed: frames that the model starts from; as many are given where the data's protocol gives fewer.
     """
     found = {}
-    for protocol in standard_protocols(_GIVEN.get(str(data.attributes.get("protocol")), 2)):
+    given = max(needed, _GIVEN.get(str(data.attributes.get("protocol")), 2))
+    for protocol in standard_protocols(given):
         if protocol.split in data.splits:
             horizon = min(protocol.horizon, data.split(protocol.split, images=False).frames)
             scored = _protocol(protocol.split, horizon, protocol.given)
@@ -92,6 +93,6 @@ def protocol_named(name: str) -> Protocol:
     Raises:
         KeycldError: there is none; names the nearest.
     """
-    if name not in _PROTOCOLS:
-        raise unknown("protocol", name, _PROTOCOLS)
-    return _PROTOCOLS[name]
+    if name not in _NAMED:
+        raise unknown("protocol", name, _NAMED)
+    return _NAMED[name]

@@ -15,10 +15,11 @@ from keycld.evaluation.evaluate import Evaluation
 def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Path:
     """Write `evaluation/NAME.npz` and `evaluation/NAME.json` of a run folder; returns the latter's path.
 
-    The JSON is written last, so a result that can be seen is complete. Numbers that are not finite become
+    The JSON goes first and comes last, so a result that can be seen is complete. Numbers that are not finite become
     null.
     """
     path = Path(folder) / "evaluation" / f"{name}.json"
+    path.unlink(missing_ok=True)
     with replacing(path.with_suffix(".npz")) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **evaluation.arrays)
     with replacing(path) as temporary:

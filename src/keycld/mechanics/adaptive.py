@@ -3,6 +3,7 @@
 import diffrax
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keycld.mechanics.dynamics import frame_inputs, stack_first
@@ -24,7 +25,8 @@ def adaptive_rollout(
     Eq. (6) keeps Φ̇ only, so Φ would drift. As in the released code, the vector field therefore pulls x back
     to Φ(x) = constants of the state before it evaluates the acceleration; `project_position` does here what
     BFGS did there. Inputs are constant in a frame, so each frame is integrated by itself. Not symplectic, and
-    much slower than `Rattle`: for the `paper` preset and for checks.
+    much slower than `Rattle`: for the `paper` preset and for checks. A motion that the steps cannot follow, because it
+    diverges, is NaN from there on; the other motions of a batch are not touched.
 
     Args:
         law: point masses with constraints, or any law without `constants` in its states.
@@ -56,8 +58,10 @@ def adaptive_rollout(
             y0=motion,
             args=u,
             stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+            throw=False,
         )
-        end = jax.tree.map(lambda y: y[-1], solution.ys)
+        arrived = solution.result == diffrax.RESULTS.successful
+        end = jax.tree.map(lambda y: jnp.where(arrived, y[-1], jnp.nan), solution.ys)
         return end, end
 
     _, motions = jax.lax.scan(frame, state.coordinates, frame_inputs(u, dt, steps))

@@ -196,8 +196,14 @@ class ConstrainedLagrangian(AbstractLagrangian):
 def combine(
     fields: tuple[Float[Array, "dim"], Float[Array, "dim l"] | None], u: Float[Array, "l"]
 ) -> Float[Array, "dim"]:
-    """Force −∇V + g u from the two fields at a position."""
+    """Force −∇V + g u from the two fields at a position.
+
+    Raises:
+        KeycldError: there are not as many inputs as g has columns.
+    """
     gradient, matrix = fields
+    if matrix is not None and matrix.shape[1] != u.shape[0]:
+        raise KeycldError(f"this model has {matrix.shape[1]} inputs, not {u.shape[0]}: give data of its own system.")
     return -gradient if matrix is None else times(matrix, u) - gradient
 
 

@@ -5,6 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from keycld._errors import KeycldError
 from keycld.mechanics.lagrangian import AbstractLaw
 from keycld.mechanics.networks import Perceptron
 
@@ -28,5 +29,12 @@ class SecondOrderNetwork(AbstractLaw):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """a(x, v, u); `parameters` play no part."""
+        """a(x, v, u); `parameters` play no part.
+
+        Raises:
+            KeycldError: there are not as many inputs as the network was made for.
+        """
+        inputs = self.perceptron.kernels[0].shape[0] - 2 * x.shape[0]
+        if inputs != u.shape[0]:
+            raise KeycldError(f"this model has {inputs} inputs, not {u.shape[0]}: give data of its own system.")
         return self.perceptron(jnp.concatenate([x, v, u]))

@@ -78,9 +78,13 @@ class AbstractModel(eqx.Module):
         - `u`: `[l]`, constant, or `[length, l]`, of which `u[k]` is held from frame k to k + 1.
         - `length`: how many frames to return.
 
-        **Raises:** KeycldError for a given frame that holds something not finite (outside of `jit`, where values can
-        be read).
+        **Raises:** KeycldError for fewer frames than `context` and for a given frame that holds something not finite
+        (outside of `jit`, where values can be read).
         """
+        if frames.ndim != 4 or frames.shape[0] < self.context:
+            raise KeycldError(
+                f"a prediction starts from {self.context} frames or more, [n, H, W, 3], not from {list(frames.shape)}."
+            )
         if not isinstance(frames, Tracer):
             # In NumPy: values known to the caller stay values inside of `jit` too.
             bad = np.flatnonzero(~np.isfinite(np.asarray(frames)).all(axis=(1, 2, 3)))

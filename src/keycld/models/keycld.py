@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from keycld._errors import KeycldError
 from keycld.mechanics import AbstractLaw, AdaptiveDynamics, ConstrainedLagrangian, MechanicalDynamics, State
 from keycld.models.base import AbstractModel
 from keycld.models.starts import AbstractStart
@@ -55,7 +56,16 @@ class KeyCLD(AbstractModel):
         return law.constraint(x) if isinstance(law, ConstrainedLagrangian) else x[:0]
 
     def observe(self, frame: Float[Array, "H W 3"]) -> Observation:
-        """The keypoints of one frame, and its heat maps where the estimator has any."""
+        """The keypoints of one frame, and its heat maps where the estimator has any.
+
+        **Raises:** KeycldError for a frame of another size than the model draws.
+        """
+        if frame.shape != (*self.renderer.size, 3):
+            height, width = self.renderer.size
+            raise KeycldError(
+                f"this model sees frames of {height} × {width} pixels with three colours, not of shape "
+                f"{list(frame.shape)}: give pictures of that size."
+            )
         return self.estimator(frame)
 
     def keypoints(self, state: State) -> Float[Array, "K 2"]:
@@ -68,7 +78,7 @@ class KeyCLD(AbstractModel):
 
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
         """The state from the keypoints of the first `context` frames."""
-        x = jax.vmap(lambda frame: self.estimator(frame).keypoints.reshape(-1))(frames[: self.context])
+        x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
         return self.start(self.dynamics, x, dt, u)
 
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:

@@ -66,6 +66,10 @@ def _pixels(distance: float | None, pixel: float) -> str:
     return "–" if distance is None else f"{distance / pixel:.2f}"
 
 
+def _percent(part: float | None) -> str:
+    return html.number(None if part is None else 100 * part) + " %"
+
+
 def potential(run: Run) -> str:
     """The learned potential energy over the configuration (Fig. 8 to 12)."""
     if run.sweeps is None:
@@ -109,9 +113,9 @@ def conservation(run: Run) -> str:
     note = (
         "Without input nothing is added or lost, so kinetic plus potential energy should stay level. Over "
         f"{horizon} "
-        f"frames the total changes by {html.number(100 * drift['energy']['mean'])} % of the energy that "
+        f"frames the total changes by {_percent(drift['energy']['mean'])} of the energy that "
         "moves "
-        f"(worst {html.number(100 * drift['energy']['worst'])} %)."
+        f"(worst {_percent(drift['energy']['worst'])})."
     )
     parts = [
         html.figure(
@@ -121,9 +125,10 @@ def conservation(run: Run) -> str:
     ]
     if "constraint" in drift:
         worst = drift["constraint"]["worst"]
+        kept = worst is not None and worst < 1e-6
         note += f" The constraints, such as the length of a rod, are kept within {html.number(worst)}"
-        note += ", the rounding of single precision." if worst < 1e-6 else "."
-    if "deviation" in result.arrays and not drift["constraint"]["worst"] < 1e-6:
+        note += ", the rounding of single precision." if kept else "."
+    if "deviation" in result.arrays and not kept:
         deviation = figures.deviation_figure(result)
         save_figure(run.folder / "media" / "constraint.png", deviation)
         caption = "How far the predicted motion leaves the constraints."

@@ -176,7 +176,8 @@ def _best(
             losses.extend(np.asarray(terms["loss"]))
         # The last third: one batch says little.
         score = float(np.mean(losses[-(trial // 3) :]))
-        found.append((score if np.isfinite(score) else np.inf, progress, rest, seen))
+        sound = bool(progress.healthy) and np.isfinite(score)
+        found.append((score if sound else np.inf, progress, rest, seen))
     _, progress, rest, seen = min(found, key=lambda candidate: candidate[0])
     return progress, rest, seen
 

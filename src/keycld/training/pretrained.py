@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
+from keycld.data import sha256
 from keycld.mechanics import load_constraints
 from keycld.models import AbstractModel
-from keycld.training.checkpoints import save_checkpoint
+from keycld.training.checkpoints import latest_checkpoint, read_position, save_checkpoint
 from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.train import blank_model, load_run
 
@@ -49,20 +50,24 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
 def run_folder(run: str | Path) -> Path:
     """The folder of a run; for the name of a model in the package, `runs/NAME-pretrained`, made where it is missing.
 
-    So evaluations, reports and control have a place of their own for a model that was not trained here.
+    So evaluations, reports and control have a place of their own for a model that was not trained here. What another
+    version of the package left there is replaced.
     """
     if not _is_packaged(run):
         folder = Path(run)
         if folder.name == str(run) and not folder.exists():
             raise unknown("run folder or trained model", str(run), pretrained())
         return folder
-    folder = Path("runs") / f"{run}-pretrained"
-    if not (folder / "checkpoints" / "latest").exists():
+    folder, weights = Path("runs") / f"{run}-pretrained", sha256(_SHELF / str(run) / "weights.npz")
+    checkpoint = latest_checkpoint(folder)
+    if checkpoint is None or read_position(checkpoint).get("weights") != weights:
+        shutil.rmtree(folder, ignore_errors=True)
         model, config = load_model(run)
         open_run(folder, dataclasses.replace(config, constraints=(_SHELF / str(run) / "constraints.toml").read_text()))
         shutil.copy(_SHELF / str(run) / "metrics.jsonl", folder / "metrics.jsonl")
         steps = json.loads((folder / "metrics.jsonl").read_text().splitlines()[-1])
         position = {"stage": 0, "stages": 1, "name": "packaged", "step": steps["step"], "done": True, "cached": 0}
+        position["weights"] = weights
         position |= {name: steps[name] for name in ("seconds", "cpu_seconds", "frames")}
         save_checkpoint(folder, "00-packaged", (model, None, None), position)
     return folder

@@ -25,6 +25,8 @@ class RunConfig:
     - `scene`: sizes and keypoint names, so that a model can be rebuilt without the data.
     - `steps_per_dispatch`: optimiser steps in one compiled call (1 on a CPU).
     - `command`: what was typed.
+    - `moved_inputs`: which inputs were ever other than zero in training; of the others the model knows no effect. None
+      for a run of an older version.
     """
 
     data: str
@@ -40,11 +42,12 @@ class RunConfig:
     checkpoint_seconds: float
     command: str
     data_hash: str | None = None
+    moved_inputs: list[bool] | None = None
 
     def decides(self) -> dict[str, Any]:
         """The part that must be equal for a run to be resumed."""
         fields = dataclasses.asdict(self)
-        for name in ("command", "checkpoint_seconds", "data"):
+        for name in ("command", "checkpoint_seconds", "data", "moved_inputs"):
             del fields[name]
         return json.loads(json.dumps(fields))
 
@@ -57,8 +60,12 @@ def open_run(folder: Path, config: RunConfig) -> None:
         different = [name for name in new if old.get(name) != new[name]]
         if different:
             name = different[0]
+            was, now = old.get(name), new[name]
+            if isinstance(was, dict) and isinstance(now, dict):
+                inner = next(key for key in {**was, **now} if was.get(key) != now.get(key))
+                name, was, now = f"{name}.{inner}", was.get(inner), now.get(inner)
             raise KeycldError(
-                f"{folder} holds another run ({name} was {_short(old.get(name))}, now {_short(new[name])}); "
+                f"{folder} holds another run ({name} was {_short(was)}, now {_short(now)}); "
                 "choose another --out, or delete that folder."
             )
         return

@@ -7,12 +7,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
-from keycld.data import DataSet, Resident, open_data, sha256
+from keycld.data import DataSet, open_data, resident, sha256
 from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
 from keycld.mechanics import (
     AbstractConstraint,
@@ -63,11 +63,14 @@ def train(
     """
     if model not in MODELS:
         raise unknown("model", model, MODELS)
+    if not 0 <= seed < 2**32:
+        raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {seed}.")
     folder = Path(out)
     dataset = open_data(data)
     constraint = constraints if constraints is not None else dataset.constraints
     recipe = make_recipe(preset, settings or {})
     images = dataset.train()
+    data_on_device = resident(images)
     keypoints = constraint.keypoints if isinstance(constraint, Constraints) else dataset.keypoints
     scene = make_scene(images, keypoints, constraint)
     steps_per_dispatch = 1 if jax.default_backend() == "cpu" else 25
@@ -85,20 +88,22 @@ def train(
         checkpoint_seconds=checkpoint_seconds,
         command=shlex.join(sys.argv),
         data_hash=sha256(dataset.path("train")),
+        moved_inputs=np.any(images.input != 0, axis=tuple(range(images.input.ndim - 1))).tolist(),
     )
     if log_every < 1:
         raise KeycldError(f"log_every is a number of steps of at least 1, not {log_every}.")
     stages = recipe.stages(scene, model)
-    resident = Resident(jnp.asarray(images.image), jnp.asarray(images.input), jnp.asarray(dataset.dt, jnp.float32))
     for stage in stages:
-        stage.sampler.check(resident)
+        stage.sampler.check(data_on_device)
+    # What the recipe refuses, it refuses before the folder is claimed.
+    eqx.filter_eval_shape(recipe.model, scene, jax.random.key(0), model)
     open_run(folder, config)
     tracker = make_tracker(track, folder, dataclasses.asdict(config))
     try:
         return train_stages(
             lambda k: recipe.model(scene, jax.random.fold_in(jax.random.key(seed), k), model),
             stages,
-            resident,
+            data_on_device,
             folder,
             seed=seed,
             steps_per_dispatch=steps_per_dispatch,
@@ -181,6 +186,9 @@ def make_recipe(preset: str, settings: dict[str, Any]) -> AbstractRecipe:
                 f"setting {name} of preset '{preset}' takes a {type(default).__name__} "
                 f"such as {default}, not {value!r}."
             )
+        wrong = [part for part in parts if isinstance(part, (int, float)) and not 0 <= part < np.inf]
+        if wrong:
+            raise KeycldError(f"setting {name} of preset '{preset}' is a number of at least 0, not {wrong[0]}.")
         values[name] = value
     return kind(**values)
 
@@ -205,7 +213,8 @@ def validation_score(dataset: DataSet) -> Callable[[AbstractModel], dict[str, fl
     The threshold is the mean validation image's error, as in the paper; test data is never touched.
     """
     data = dataset.validation()
-    assert data.image is not None
+    if data.image is None:
+        raise KeycldError(f"{dataset.path('validation')} holds no '/image', which the validation score needs: add it.")
     image, threshold = data.image, epsilon(data.image)
 
     def score(model: AbstractModel) -> dict[str, float]:

@@ -63,7 +63,7 @@ class DenseRenderer(AbstractRenderer):
     """Dense layers 256 and 4×4 cells, then convolution blocks and upsampling back to the size of the frame.
 
     - `hidden`, `cells`: dense layers. `blocks`: mirror those of `DenseEstimator`. `out`: the last convolution.
-    - `background`, `stride`: as in `Renderer`. `coarse`: cells on a side.
+    - `background`, `stride`: as in `Renderer`. `coarse`: rows and columns of cells.
     """
 
     hidden: eqx.nn.Linear
@@ -95,6 +95,13 @@ class DenseRenderer(AbstractRenderer):
         self.out = Conv(width, 3 * stride**2, key=keys[-1])
         self.background = background
         self.stride = stride
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of the cells, doubled by each block, times the stride."""
+        rows, columns = self.coarse
+        scale = self.stride * 2 ** len(self.blocks)
+        return rows * scale, columns * scale
 
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
         """Draws one frame with values in (0, 1)."""

@@ -19,6 +19,11 @@ class AbstractRenderer(eqx.Module):
     add to the background's logit and start from a perfect still picture.
     """
 
+    @property
+    @abstractmethod
+    def size(self) -> tuple[int, int]:
+        """Height and width of the frames, pixels."""
+
     @abstractmethod
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
         """Draws one frame with values in (0, 1)."""
@@ -42,10 +47,15 @@ class Renderer(AbstractRenderer):
     stride: int = eqx.field(static=True)
     sigma: float = eqx.field(static=True)
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Of the features, times the stride."""
+        rows, columns, _ = self.features.shape
+        return rows * self.stride, columns * self.stride
+
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
         """Draws one frame with values in (0, 1)."""
-        rows, columns, _ = self.features.shape
-        grid = image_grid(rows * self.stride, columns * self.stride, self.stride)
+        grid = image_grid(*self.size, self.stride)
         blobs = gaussian_maps(keypoints, grid, self.sigma)
         x = self.network(jnp.concatenate([self.features, blobs], axis=-1))
         return on_background(depth_to_space(x, self.stride), self.background)

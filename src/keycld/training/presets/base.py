@@ -45,6 +45,11 @@ class Scene:
 class AbstractRecipe(abc.ABC):
     """A frozen dataclass of settings that makes a model and its stages; saved whole in `config.json`."""
 
+    @property
+    @abc.abstractmethod
+    def context(self) -> int:
+        """How many frames a prediction starts from."""
+
     @abc.abstractmethod
     def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> AbstractModel:
         """A model with fresh weights; `kind` is a name of `MODELS`."""

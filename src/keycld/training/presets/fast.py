@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
+from keycld._errors import KeycldError
 from keycld.data import RandomFrames, StartGroups
 from keycld.mechanics import (
     RK4,
@@ -87,6 +88,18 @@ class FastRecipe(AbstractRecipe):
     groups: int = 4
     begin: float = 0.5
     given: int = 2
+
+    def __post_init__(self) -> None:
+        """Counts of things that there must be at least one of."""
+        counts = ("stride", "substeps", "candidates", "trial", "groups", "given")
+        for name in (*counts, "vision_batch", "dynamics_batch", "joint_batch"):
+            if getattr(self, name) < 1:
+                raise KeycldError(f"setting {name} of preset 'fast' is at least 1, not {getattr(self, name)}.")
+
+    @property
+    def context(self) -> int:
+        """As told."""
+        return self.given
 
     def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> KeyCLD:
         """KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE.

@@ -41,9 +41,14 @@ class JournalRecipe(AbstractRecipe):
     epochs: int = 40
     released_optimiser: bool = False
 
+    @property
+    def context(self) -> int:
+        """Three."""
+        return 3
+
     def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> KeyCLD:
         """The paper's networks and adaptive roll-outs from a central difference of three frames."""
-        return published_model(scene, key, kind, width=self.width, sigma=self.sigma, start=plain_start(3))
+        return published_model(scene, key, kind, width=self.width, sigma=self.sigma, start=plain_start(self.context))
 
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
         """One stage with a slower rate for the dynamics."""

@@ -31,9 +31,14 @@ class PaperRecipe(AbstractRecipe):
     epochs: int = 100
     released_optimiser: bool = False
 
+    @property
+    def context(self) -> int:
+        """Two."""
+        return 2
+
     def model(self, scene: Scene, key: PRNGKeyArray, kind: str = "keycld") -> KeyCLD:
         """The networks of appendix A.4 and adaptive Dormand–Prince roll-outs from a difference of two frames."""
-        return published_model(scene, key, kind, width=self.width, sigma=self.sigma, start=plain_start(2))
+        return published_model(scene, key, kind, width=self.width, sigma=self.sigma, start=plain_start(self.context))
 
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
         """One stage; every parameter at the same rate."""
