@@ -208,6 +208,7 @@ def test_the_command_writes_what_it_promises(model, tmp_path, monkeypatch, capsy
         system: str = "pendulum"
         dt: float = 0.02
         data: str = "nowhere"
+        moved_inputs: None = None
 
     (tmp_path / "config.json").write_text(json.dumps({"system": "pendulum", "command": "keycld train pendulum"}))
     monkeypatch.setattr(training, "run_folder", lambda run: tmp_path)

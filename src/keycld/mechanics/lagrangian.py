@@ -119,6 +119,13 @@ class ConstrainedLagrangian(AbstractLagrangian):
         lower = jnp.tril(self.damping)
         return gram(lower, lower)
 
+    @property
+    def inputs(self) -> int | None:
+        """How many inputs it takes, the columns of g; None where they do nothing and any number will do."""
+        if self.input_matrix is None:
+            return None
+        return jax.eval_shape(self.input_matrix, jnp.zeros(2 * self.masses.shape[0])).shape[1]
+
     def constraint(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
         """Φ(x)."""
         return self.constraint_function(x, parameters)
@@ -196,14 +203,8 @@ class ConstrainedLagrangian(AbstractLagrangian):
 def combine(
     fields: tuple[Float[Array, "dim"], Float[Array, "dim l"] | None], u: Float[Array, "l"]
 ) -> Float[Array, "dim"]:
-    """Force −∇V + g u from the two fields at a position.
-
-    Raises:
-        KeycldError: there are not as many inputs as g has columns.
-    """
+    """Force −∇V + g u from the two fields at a position."""
     gradient, matrix = fields
-    if matrix is not None and matrix.shape[1] != u.shape[0]:
-        raise KeycldError(f"this model has {matrix.shape[1]} inputs, not {u.shape[0]}: give data of its own system.")
     return -gradient if matrix is None else times(matrix, u) - gradient
 
 

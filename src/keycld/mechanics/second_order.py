@@ -5,7 +5,6 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from keycld._errors import KeycldError
 from keycld.mechanics.lagrangian import AbstractLaw
 from keycld.mechanics.networks import Perceptron
 
@@ -22,6 +21,11 @@ class SecondOrderNetwork(AbstractLaw):
     def __init__(self, dim: int, inputs: int, width: int = 64, *, key: PRNGKeyArray):
         self.perceptron = Perceptron((2 * dim + inputs, width, width, width, dim), key)
 
+    @property
+    def inputs(self) -> int:
+        """How many inputs it takes: what the first layer has beside x and v, which are as long as a."""
+        return self.perceptron.kernels[0].shape[0] - 2 * self.perceptron.biases[-1].shape[0]
+
     def acceleration(
         self,
         x: Float[Array, "dim"],
@@ -29,12 +33,5 @@ class SecondOrderNetwork(AbstractLaw):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """a(x, v, u); `parameters` play no part.
-
-        Raises:
-            KeycldError: there are not as many inputs as the network was made for.
-        """
-        inputs = self.perceptron.kernels[0].shape[0] - 2 * x.shape[0]
-        if inputs != u.shape[0]:
-            raise KeycldError(f"this model has {inputs} inputs, not {u.shape[0]}: give data of its own system.")
+        """a(x, v, u); `parameters` play no part."""
         return self.perceptron(jnp.concatenate([x, v, u]))

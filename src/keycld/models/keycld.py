@@ -77,7 +77,15 @@ class KeyCLD(AbstractModel):
         return self.renderer(self.keypoints(state))
 
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
-        """The state from the keypoints of the first `context` frames."""
+        """The state from the keypoints of the first `context` frames.
+
+        **Raises:** KeycldError for frames of another size, or another number of inputs, than the model knows.
+        """
+        inputs = getattr(self.law, "inputs", None)
+        if inputs not in (None, u.shape[-1]):
+            raise KeycldError(
+                f"this model has {inputs} inputs, not {u.shape[-1]}: give data of the system that it was trained on."
+            )
         x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
         return self.start(self.dynamics, x, dt, u)
 
