@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.drawing import replacing, save_image, save_movie
+from keycld._files import replacing
+from keycld.drawing import save_image, save_movie
 
 
 def read_mp4(path, height, width):
@@ -70,5 +71,5 @@ def test_mistakes_are_named(tmp_path, frames):
     with pytest.raises(KeycldError, match="at least one frame"):
         save_movie(tmp_path / "a.gif", frames[:0])
     (tmp_path / "file").write_text("")
-    with pytest.raises(KeycldError, match="choose a folder that has room and may be written to"):
+    with pytest.raises(KeycldError, match="choose a folder that you may write to"):
         save_image(tmp_path / "file" / "a.png", frames[0])

@@ -1,7 +1,6 @@
 """The recorded outcome of an experiment: small, complete, and worth something without its run folder."""
 
 import json
-import os
 import re
 import time
 from pathlib import Path
@@ -10,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError
+from keycld._files import write_text
 from keycld.benchmarks.experiment import Experiment, Place, digest
-from keycld.drawing import replacing
 from keycld.evaluation import Evaluation, load_evaluation
 
 _CURVE_POINTS = 50
@@ -122,10 +121,7 @@ def write_json(path: Path, value: Any) -> None:
     """Write a value as text for people too: one line a name, lists of numbers in one line; whole or not at all."""
     text = json.dumps(value, indent=1, allow_nan=False)
     text = re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda found: "[" + re.sub(r"\s+", " ", found[1]) + "]", text)
-    with replacing(path) as temporary, temporary.open("w") as file:
-        file.write(text + "\n")
-        file.flush()
-        os.fsync(file.fileno())
+    write_text(path, text + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any] | None:

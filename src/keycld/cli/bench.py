@@ -95,11 +95,10 @@ def table(selection: Selection, *, out: Path | None = None) -> None:
     print("\n\n".join(as_text(each) for each in found))
     print(f"\n{_counts(experiments, place)}")
     if out is not None:
-        from keycld.drawing import replacing
+        from keycld._files import write_text
 
         for name, text in (("table.md", "\n".join(map(as_markdown, found))), ("table.csv", as_csv(found))):
-            with replacing(out / name) as temporary:
-                temporary.write_text(text, encoding="utf-8")
+            write_text(out / name, text)
         print(f"written: {out / 'table.md'}, {out / 'table.csv'}")
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError
-from keycld.data.atomic import make_folder, write_text
+from keycld._files import make_folder, write_text
 from keycld.data.card import card
 from keycld.data.dataset import PARTIAL, unfinished
 from keycld.data.drawn import known, with_pictures

@@ -11,7 +11,7 @@ from typing import Any
 
 from keycld import __version__
 from keycld._errors import KeycldError
-from keycld.data.atomic import make_folder, write_text
+from keycld._files import make_folder, write_text
 from keycld.data.dataset import PARTIAL
 from keycld.data.finish import finish
 from keycld.data.parts import Part, make_part

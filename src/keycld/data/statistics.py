@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.data.atomic import write_text
+from keycld._files import write_text
 from keycld.data.drawn import with_pictures
 from keycld.data.store import blocks, read, recordings
 

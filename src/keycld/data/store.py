@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.data.atomic import atomic
+from keycld._files import replacing
 from keycld.data.rules import EVERY, SCHEMA_VERSION, check_images, check_structure
 
 # Successive frames are alike and lie within deflate's window of 32 kB: level 4 makes pendulum pictures 28
@@ -87,7 +87,7 @@ def _new_file(path: Path) -> Iterator[h5py.File]:
         yield file
         file.flush()
         contents = file.id.get_file_image()
-    with atomic(path) as temporary:
+    with replacing(path) as temporary:
         temporary.write_bytes(contents)
 
 
@@ -251,7 +251,7 @@ def _join_on_disk(parts: Sequence[Path], path: Path) -> None:
     with open_file(parts[0]) as first:
         attributes, times = dict(first.attrs), first["time"][...]
         layout = {name: (first[name].shape[1:], first[name].dtype, first[name].chunks) for name in _fields(first)}
-    with atomic(path) as temporary, h5py.File(temporary, "w") as new:
+    with replacing(path) as temporary, h5py.File(temporary, "w") as new:
         file: Any = new
         file.attrs.update(attributes)
         file["time"] = times

@@ -8,7 +8,6 @@ from keycld.drawing.curves import histogram_figure as histogram_figure
 from keycld.drawing.curves import map_figure as map_figure
 from keycld.drawing.curves import panels_figure as panels_figure
 from keycld.drawing.curves import strip_figure as strip_figure
-from keycld.drawing.files import replacing as replacing
 from keycld.drawing.files import save_figure as save_figure
 from keycld.drawing.files import save_image as save_image
 from keycld.drawing.files import save_movie as save_movie
@@ -42,7 +41,6 @@ __all__ = [
     "overlay_keypoints",
     "overlay_timeline",
     "panels_figure",
-    "replacing",
     "save_figure",
     "save_image",
     "save_movie",

@@ -1,8 +1,6 @@
 """Write pictures and movies so that a reader sees the old file or the new one, never half of one."""
 
 import contextlib
-import os
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,31 +11,8 @@ from jaxtyping import Shaped, UInt8
 from matplotlib.figure import Figure
 
 from keycld._errors import KeycldError
+from keycld._files import replacing
 from keycld.drawing.frames import as_uint8, enlarge
-
-
-@contextlib.contextmanager
-def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path beside `path`; what was written there replaces `path` at the end.
-
-    The folder is made where it is missing. If the body fails, `path` is left as it was.
-
-    Raises:
-        KeycldError: the folder cannot be made or written.
-    """
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        raise KeycldError(
-            f"cannot write '{path}': {error.strerror or error}; choose a folder that has room and may be written to."
-        ) from error
-    finally:
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
 
 
 def save_image(path: str | Path, frame: Shaped[np.ndarray, "H W 3"]) -> None:

@@ -6,8 +6,8 @@ import h5py
 import numpy as np
 
 from keycld._errors import KeycldError
+from keycld._files import replacing
 from keycld.data import open_file, read
-from keycld.drawing import replacing
 from keycld.evaluation.predicting import Progress, batch_size, predict
 from keycld.models import AbstractModel
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.drawing import replacing
+from keycld._files import replacing, write_text
 from keycld.evaluation.evaluate import Evaluation
 
 
@@ -22,8 +22,7 @@ def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Pa
     path.unlink(missing_ok=True)
     with replacing(path.with_suffix(".npz")) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **evaluation.arrays)
-    with replacing(path) as temporary:
-        temporary.write_text(json.dumps(_plain(evaluation.scores), indent=1, allow_nan=False) + "\n")
+    write_text(path, json.dumps(_plain(evaluation.scores), indent=1, allow_nan=False) + "\n")
     return path
 
 

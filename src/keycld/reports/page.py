@@ -3,7 +3,7 @@
 from importlib import resources
 from pathlib import Path
 
-from keycld.drawing import replacing
+from keycld._files import write_text
 from keycld.reports import html
 
 # The browser itself refuses everything that is not in the file.
@@ -47,6 +47,5 @@ def write_page(path: Path, title: str, body: str, footer: str) -> Path:
         f"<title>{html.text(title)}</title><style>{style}</style></head>"
         f"<body><main>{body}</main><footer>{footer}</footer><script>{_SCRIPT}</script></body></html>\n"
     )
-    with replacing(path) as temporary:
-        temporary.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path

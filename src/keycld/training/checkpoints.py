@@ -9,16 +9,7 @@ from typing import Any
 import equinox as eqx
 
 from keycld._errors import KeycldError
-
-
-def write_text(path: Path, text: str) -> None:
-    """Replaces a file as a whole: after a kill either the old or the new text is there."""
-    temporary = path.with_name(f".{path.name}.partial")
-    with temporary.open("w") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
+from keycld._files import sync, write_text
 
 
 def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any], keep: int = 2) -> Path:
@@ -47,9 +38,8 @@ def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any]
             shutil.rmtree(temporary)
         else:
             os.replace(temporary, final)
-        _sync(root)
+        sync(root)
         write_text(root / "latest", name)
-        _sync(root)
     except OSError as error:
         raise KeycldError(
             f"cannot write the checkpoint {final}: {error.strerror}; free some space or choose another --out. "
@@ -84,11 +74,3 @@ def load_leaves(checkpoint: Path, like: Any) -> Any:
         raise KeycldError(
             f"checkpoint {checkpoint} does not fit this recipe or is damaged ({first}); train again into a new --out."
         ) from error
-
-
-def _sync(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError
-from keycld.training.checkpoints import write_text
+from keycld._files import write_text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -69,15 +69,11 @@ def open_run(folder: Path, config: RunConfig) -> None:
                 "choose another --out, or delete that folder."
             )
         return
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if config.constraints is not None:
-            write_text(folder / "constraints.toml", config.constraints)
-        write_text(folder / "environment.json", json.dumps(environment(), indent=1))
-        # Last, because its presence says that the folder is a run's.
-        write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
-    except OSError as error:
-        raise KeycldError(f"cannot write to {folder}: {error.strerror}; choose another --out.") from error
+    if config.constraints is not None:
+        write_text(folder / "constraints.toml", config.constraints)
+    write_text(folder / "environment.json", json.dumps(environment(), indent=1))
+    # Last, because its presence says that the folder is a run's.
+    write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
 
 
 def read_config(folder: Path) -> RunConfig:
