@@ -77,6 +77,15 @@ def test_eval_predict_and_report(here, place):
     scores = [json.loads(p.read_text()) for p in (place / "whole" / "evaluation").glob("*.json")]
     assert any(0 <= s["vpt"]["1"]["mean"] <= 1 for s in scores if "vpt" in s)
 
+    shutil.copytree(place / "mine", place / "other")
+    with h5py.File(place / "other" / "train.h5", "a") as file:
+        file.attrs["generator"] = "another"
+    before = {path.name: path.read_bytes() for path in (place / "whole" / "evaluation").iterdir()}
+    code, message = here("eval", "whole", "--data", "other", folder=place)
+    assert code == 0, message
+    after = {path.name: path.read_bytes() for path in (place / "whole" / "evaluation").iterdir()}
+    assert before.items() <= after.items() and "test@12-other.json" in after
+
     code, message = here("predict", "whole", "--data", "mine/test.h5", "--out", "predictions.h5", folder=place)
     assert code == 0, message
     with h5py.File(place / "predictions.h5") as file:

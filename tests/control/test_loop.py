@@ -12,7 +12,6 @@ from true_physics import truth
 from watching import Watcher, picture
 
 from keycld import KeycldError
-from keycld.cli.control import known_inputs
 from keycld.cli.main import main
 from keycld.control import (
     Assignment,
@@ -22,6 +21,7 @@ from keycld.control import (
     PredictCorrect,
     advance,
     goal_of,
+    known_inputs,
     lagrangian_of,
     loop,
     nearest_pose,

@@ -48,7 +48,7 @@ def control(
         out: Folder for the results; the run's own unless told.
         workers: Processes that simulate and draw, at most four. Default: one a core.
     """
-    from keycld.control import Assignment, Disturbance, swing_up
+    from keycld.control import Assignment, Disturbance, known_inputs, swing_up
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
     from keycld.systems import get
@@ -86,25 +86,6 @@ def control(
     print(f"stored: {path}, {movie}, {figure}")
     if out is None:
         print(f"next: keycld report {run}")
-
-
-def known_inputs(names: tuple[str, ...], moved: list[bool] | None, chosen: tuple[str, ...]) -> tuple[str, ...] | None:
-    """The inputs that are to act: those that were chosen, else those whose effect the training could show; None: all.
-
-    Raises:
-        KeycldError: an input is to act that never moved in the training data, or there is none that did.
-    """
-    if moved is None or all(moved):
-        return chosen or None
-    known = tuple(name for name, did in zip(names, moved, strict=True) if did)
-    blind = [name for name in chosen if name in names and name not in known]
-    if not known or blind:
-        what = f"{blind[0]} never moved" if blind else "no input ever moved"
-        raise KeycldError(
-            f"{what} in the data that this model was trained on, so it knows nothing of the effect: train on data that "
-            "`keycld data make SYSTEM --control full` makes."
-        )
-    return chosen or known
 
 
 def _picture(path: Path) -> Any:

@@ -2,11 +2,14 @@
 
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from keycld import KeycldError
+
+if TYPE_CHECKING:
+    from keycld.data import DataSet
 
 
 def evaluate(
@@ -26,12 +29,12 @@ def evaluate(
             has files for unless told.
     """
     from keycld.cli.making import data_for
-    from keycld.data import open_data, sha256
+    from keycld.data import open_data
     from keycld.evaluation import evaluate as score
     from keycld.evaluation import evaluate_sweeps, protocol_named, protocols_for, references, save_evaluation, summary
     from keycld.training import finished, load_run, pretrained, run_folder
 
-    folder = run_folder(run)
+    folder, asked = run_folder(run), data
     model, config = load_run(folder)
     if not finished(folder):
         print(f"{folder} has not trained to its end; scoring its newest checkpoint", file=sys.stderr)
@@ -47,7 +50,7 @@ def evaluate(
     if not chosen:
         raise KeycldError(f"{dataset.folder} has no file that a protocol scores (test.h5, validation.h5, …).")
     shared = references(dataset)
-    own = data == config.data or run in pretrained() or sha256(dataset.path("train")) == config.data_hash
+    own = asked in (None, config.data) or _holds(dataset, config.data_hash)
     suffix = "" if own else f"-{dataset.folder.resolve().name}"
     for protocol in chosen:
         result = score(model, dataset, protocol, shared=shared)
@@ -56,3 +59,10 @@ def evaluate(
     if own and "sweeps" in dataset.splits:
         save_evaluation(folder, "sweeps", evaluate_sweeps(model, dataset))
     print(f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
+
+
+def _holds(dataset: "DataSet", training: str | None) -> bool:
+    """Whether a data set has the training file of that checksum."""
+    from keycld.data import sha256
+
+    return "train" in dataset.splits and sha256(dataset.path("train")) == training

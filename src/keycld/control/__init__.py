@@ -9,6 +9,7 @@ from keycld.control.base import Idle as Idle
 from keycld.control.base import RandomInput as RandomInput
 from keycld.control.base import actuators_of as actuators_of
 from keycld.control.base import check_limit as check_limit
+from keycld.control.base import known_inputs as known_inputs
 from keycld.control.base import lagrangian_of as lagrangian_of
 from keycld.control.energy_shaping import AbstractShaping as AbstractShaping
 from keycld.control.energy_shaping import EnergyShaping as EnergyShaping
@@ -67,6 +68,7 @@ __all__ = [
     "nearest_pose",
     "fly",
     "goal_of",
+    "known_inputs",
     "lagrangian_of",
     "outcome",
     "register_environments",

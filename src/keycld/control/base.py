@@ -126,6 +126,25 @@ def actuators_of(names: tuple[str, ...], chosen: tuple[str, ...] | None) -> tupl
     return tuple(sorted(names.index(name) for name in set(chosen)))
 
 
+def known_inputs(names: tuple[str, ...], moved: list[bool] | None, chosen: tuple[str, ...]) -> tuple[str, ...] | None:
+    """The inputs that are to act: those that were chosen, else those whose effect the training could show; None: all.
+
+    Raises:
+        KeycldError: an input is to act that never moved in the training data, or there is none that did.
+    """
+    if moved is None or all(moved):
+        return chosen or None
+    known = tuple(name for name, did in zip(names, moved, strict=True) if did)
+    blind = [name for name in chosen if name in names and name not in known]
+    if not known or blind:
+        what = f"{blind[0]} never moved" if blind else "no input ever moved"
+        raise KeycldError(
+            f"{what} in the data that this model was trained on, so it knows nothing of the effect: train on data that "
+            "`keycld data make SYSTEM --control full` makes."
+        )
+    return chosen or known
+
+
 def check_limit(limit: float | None) -> float:
     """The largest |u| as a number: infinity for None.
 

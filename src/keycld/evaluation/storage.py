@@ -19,9 +19,9 @@ def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Pa
     null.
     """
     path = Path(folder) / "evaluation" / f"{name}.json"
-    path.unlink(missing_ok=True)
     with replacing(path.with_suffix(".npz")) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **evaluation.arrays)
+        path.unlink(missing_ok=True)
     write_text(path, json.dumps(_plain(evaluation.scores), indent=1, allow_nan=False) + "\n")
     return path
 
