@@ -24,6 +24,7 @@ from keycld.mechanics import (
 from keycld.models import AbstractModel
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position
 from keycld.training.loop import train_stages
+from keycld.training.memory import keep_freed_memory
 from keycld.training.presets import MODELS, AbstractRecipe, Scene, recipe_class
 from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.trackers import make_tracker
@@ -65,6 +66,7 @@ def train(
         raise unknown("model", model, MODELS)
     if not 0 <= seed < 2**32:
         raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {seed}.")
+    keep_freed_memory()
     folder = Path(out)
     dataset = open_data(data)
     constraint = constraints if constraints is not None else dataset.constraints
