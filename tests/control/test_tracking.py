@@ -35,8 +35,8 @@ def test_a_motor_too_weak_to_lift_swings_the_pendulum_up(weak_pendulum):
         inputs.append(u)
     assert upright(known.system, np.array(angles[-50:])).all()
     assert np.abs(inputs).max() <= 1
-    np.testing.assert_allclose(memory.plan.z[-1], jnp.concatenate([known.upright, 0 * known.upright]), atol=0.05)
-    assert np.abs(memory.plan.u).max() <= 0.9 + 1e-6
+    np.testing.assert_allclose(memory.plan.z[-1], jnp.concatenate([known.upright, 0 * known.upright]), atol=0.1)
+    assert np.abs(memory.plan.u).max() <= 0.7 + 1e-6
 
 
 @pytest.mark.parametrize(("name", "actuators"), [("pendulum", (0,)), ("cartpole", (0,)), ("acrobot", (1,))])

@@ -15,7 +15,7 @@ def make(
     *,
     out: Path | None = None,
     protocol: str | None = None,
-    control: Literal["none", "under", "full"] | None = None,
+    control: str | None = None,
     start: Literal["rest", "random"] | None = None,
     clip: bool | None = None,
     input: Literal["constant", "random-walk"] | None = None,
@@ -37,7 +37,8 @@ def make(
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); for toy sets priors-released (the
             configurations behind the published scores) or priors-paper (the text, where it differs). Default:
             keycld-2022, priors-released.
-        control: Which inputs act: none, under (the second does not) or full. Default: the protocol's.
+        control: Which inputs act: none, under (the second does not), full, or the name of the one that acts alone,
+            such as elbow_torque. Default: the protocol's.
         start: How runs start: rest or random. Default: the protocol's.
         clip: Whether the motors limit the input to their range. Default: the protocol's.
         input: Whether the input is constant in a run or a random-walk held for a frame. Default: constant.

@@ -51,6 +51,8 @@ class Planner(eqx.Module):
         dt: seconds between frames.
         horizon: frames.
         iterations: of the search.
+        effort: r. Slow motions with inputs far from the limit: a learned model is off by a tenth of a fast motion's
+            acceleration, and feedback needs what the plan leaves.
         reach: what deviations count alike in ‖z − z*‖².
         hold: what deviations cost in tracking.
 
@@ -65,8 +67,9 @@ class Planner(eqx.Module):
     dt: float
     horizon: int = eqx.field(static=True)
     iterations: int = eqx.field(static=True, default=80)
-    reach: Weights = Weights(0.1, 0.5, 1.0)
-    hold: Weights = Weights(0.03, 0.3, 1.0)
+    effort: float = 0.3
+    reach: Weights = Weights(0.2, 0.25, 1.0)
+    hold: Weights = Weights(0.1, 1.0, 0.3)
 
     @eqx.filter_jit
     def __call__(self, z: Float[Array, "two_dim"], constants: Float[Array, "n"], ahead: Float[Array, "s s"]) -> Plan:
@@ -88,7 +91,7 @@ class Planner(eqx.Module):
 
     def _search(self, start: Array, w: Array, constants: Array) -> tuple[Array, Array, Array]:
         weight = jnp.diagonal(self.reach.state_cost(self.goal.shape[0] // 2))
-        running, final, effort = 0.05 * self.dt * weight, 10 * weight, 0.02 * self.dt
+        running, final, effort = 0.05 * self.dt * weight, 10 * weight, self.effort * self.dt
 
         def cost(z, w):
             away = (z - self.goal[None, :]) ** 2

@@ -14,8 +14,8 @@ from keycld.control.lqr import stationary_gain
 from keycld.control.planning import Plan, Planner
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, Rattle, State
 
-_LOST = 0.15
-"""Image-plane units (five pixels of 64) between a keypoint and its place in the plan."""
+_LOST = 0.25
+"""Image-plane units (eight pixels of 64) between a keypoint and its place in the plan."""
 _FIRST_LOOK = 8
 """Frames to find the velocity in before the first plan."""
 
@@ -41,7 +41,7 @@ class PlanAndTrack(AbstractController):
 
     From what is believed after the first frames a motion to the goal is planned in the learned dynamics (`Planner`);
     along it, time-varying linear–quadratic feedback keeps the system on the plan, and at its end stationary feedback
-    (`stationary_gain`) holds the goal. A copy that is more than five pixels from where it should be gets a new plan.
+    (`stationary_gain`) holds the goal. A copy that is more than eight pixels from where it should be gets a new plan.
 
     Tracking is a matrix product a frame. Planning takes longer than a frame and is not counted as a step: in simulation
     the world waits for it.
@@ -91,7 +91,7 @@ class PlanAndTrack(AbstractController):
             jnp.concatenate([goal, 0 * goal]),
             actuators,
             inputs,
-            0.9 * limit,  # what is left is for feedback
+            0.7 * limit,  # what is left is for feedback
             dt,
             round(seconds / dt),
         )

@@ -19,7 +19,8 @@ class Conditions:
     """How runs are driven and started.
 
     Attributes:
-        control: which inputs act: `"full"`, all; `"under"`, all but the second; `"none"`, no input.
+        control: which inputs act: `"full"`, all; `"under"`, all but the second; `"none"`, no input; the name of an
+            input: that one alone.
         start: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal version's, all
             positions and velocities random; `"released"`, any position, exactly zero velocity.
         input_limit: u is drawn uniformly from ± this.

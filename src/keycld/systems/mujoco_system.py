@@ -90,8 +90,8 @@ class AbstractMujocoSystem(AbstractMechanism):
 
     @property
     def control_modes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """`"under"` exists where there are two motors."""
-        return ("none", "full") if len(self.input_names) == 1 else ("none", "under", "full")
+        """`"under"` and the names of single motors exist where there are two."""
+        return ("none", "full") if len(self.input_names) == 1 else ("none", "under", "full", *self.input_names)
 
     def to_image_plane(self, points: np.ndarray) -> np.ndarray:
         """Image-plane units of world points `[..., 2]` = (x, z) in the plane y = 0, metres."""
@@ -104,10 +104,10 @@ class AbstractMujocoSystem(AbstractMechanism):
     def _input(self, random: np.random.RandomState, conditions: Conditions) -> np.ndarray:
         limit = conditions.input_limit
         u = random.uniform(-limit, limit, size=len(self.input_names))
-        if random.uniform() < _ZERO_INPUT_PROBABILITY or conditions.control == "none":
-            u[:] = 0.0
-        if conditions.control == "under":
-            u[1:] = 0.0
+        chosen = {"none": (), "under": self.input_names[:1], "full": self.input_names}
+        acting = chosen.get(conditions.control, (conditions.control,))
+        idle = random.uniform() < _ZERO_INPUT_PROBABILITY
+        u[[idle or name not in acting for name in self.input_names]] = 0.0
         return u
 
     def _start(self, random: np.random.RandomState, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
