@@ -41,11 +41,11 @@ def head(run: Run) -> str:
     )
     return (
         f'<header>{top}<p class="lede">{lede}</p><p class="facts">{line}</p></header>'
-        f'<div class="hero">{_first_movie(run, result)}{_headline(run, result)}</div>{_contents()}'
+        f'<div class="hero">{_first_movie(run, result)}{_headline(run, result)}</div>{_contents(run)}'
     )
 
 
-def _contents() -> str:
+def _contents(run: Run) -> str:
     places = {
         "movies": "movies",
         "sheets": "frames",
@@ -56,6 +56,7 @@ def _contents() -> str:
         "potential": "potential energy",
         "energy": "conservation",
         "masses": "masses",
+        **({"control": "control"} if run.controls else {}),
         "training": "training",
         "reproduce": "reproduce",
     }
