@@ -17,3 +17,9 @@ def unknown(kind: str, name: str, choices: Iterable[str]) -> KeycldError:
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean '{near[0]}'? " if near else ""
     return KeycldError(f"unknown {kind} '{name}': {hint}choose from {', '.join(names)}.")
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a number that NumPy's or JAX's generators do not begin from."""
+    if not 0 <= seed < 2**32:
+        raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {seed}.")

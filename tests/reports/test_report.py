@@ -26,6 +26,10 @@ def test_every_part_is_there(page):
     assert "is left out" not in page.read_text()
 
 
+def test_the_list_of_places_leads_to_every_section(page):
+    assert re.findall(r'<a href="#(\w+)">', page.read_text()) == sections(page)
+
+
 def test_what_a_stranger_must_read_is_on_the_page(page, scores):
     text = page.read_text()
     assert f'<p class="big">{scores["vpt"]["1"]["mean"]:.2f}</p>' in text

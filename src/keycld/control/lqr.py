@@ -83,11 +83,11 @@ def stationary_gain(
         ahead = scipy.linalg.solve_discrete_are(a, b, weights.state_cost(len(goal)), cost)
         gain = np.linalg.solve(cost + b.T @ ahead @ b, b.T @ ahead @ a)
         growth = np.abs(np.linalg.eigvals(a - b @ gain)).max()
-    except (np.linalg.LinAlgError, ValueError):
-        growth = np.inf
+        found = f"deviations grow by {growth:.3g} a frame"
+    except (np.linalg.LinAlgError, ValueError) as error:
+        growth, found = np.inf, str(error)
     if not growth < 1:
         raise KeycldError(
-            f"these inputs cannot hold the goal (deviations grow by {growth:.3g} a frame): choose other actuators, or "
-            "another goal image."
+            f"these inputs cannot hold the goal ({found}): choose other actuators, or another goal image."
         )
     return gain, ahead

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from keycld._errors import KeycldError, unknown
+from keycld._errors import KeycldError, check_seed, unknown
 from keycld.control.base import (
     AbstractController,
     Idle,
@@ -70,8 +70,7 @@ class Assignment:
             raise KeycldError(f"kp and kd are positive numbers, not {self.kp} and {self.kd}.")
         if not (self.seconds >= 0.1 and self.starts >= 1):
             raise KeycldError(f"give at least 0.1 s and one start, not {self.seconds} s and {self.starts}.")
-        if not 0 <= self.seed < 2**32:
-            raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {self.seed}.")
+        check_seed(self.seed)
 
 
 def swing_up(

@@ -97,7 +97,7 @@ def curves_figure(
         axes = figure.add_subplot()
         _draw(axes, curves, logarithmic)
         if any(curve.label for curve in curves):
-            axes.legend(loc="best")
+            figure.legend(loc="outside upper left", ncols=2)  # beside the curves, which cross the whole of the axes
         for limit in limits:
             _draw_limit(axes, limit)
         axes.set_xlabel(x_label)

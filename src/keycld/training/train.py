@@ -11,7 +11,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from keycld._errors import KeycldError, unknown
+from keycld._errors import KeycldError, check_seed, unknown
 from keycld.data import DataSet, open_data, resident, sha256
 from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
 from keycld.mechanics import (
@@ -64,8 +64,7 @@ def train(
     """
     if model not in MODELS:
         raise unknown("model", model, MODELS)
-    if not 0 <= seed < 2**32:
-        raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {seed}.")
+    check_seed(seed)
     keep_freed_memory()
     folder = Path(out)
     dataset = open_data(data)
