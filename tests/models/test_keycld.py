@@ -253,20 +253,40 @@ def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, g
 
 @pytest.mark.parametrize(
     ("item", "weights"),
-    [(DistanceToPoint("a"), (100.0, 550.0, 1000.0, 1000.0)), (FixedDistance("a", "b"), (1.0, 178.0, 1000.0, 1000.0))],
+    [(DistanceToPoint("a"), (100.0, 325.0, 1000.0, 1000.0)), (FixedDistance("a", "b"), (1.0, 31.6, 1000.0, 1000.0))],
 )
 def test_vision_holds_constraints_more_and_more(item, weights, getkey):
-    """Those to the world at once, those between keypoints later: 1000^(3/4) = 178 at half of the steps."""
+    """Those to the world at once, those between keypoints later: 1000^(1/2) = 31.6 at a quarter of the steps."""
     scene = dataclasses.replace(SCENE, keypoints=("a", "b"), constraint=Constraints(("a", "b"), (item,)))
     model = FastRecipe(width=8).model(scene, jax.random.key(0))
     # Keypoints that differ from picture to picture, or the term would drown in rounding.
     model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 100 * kernel)
     clip = clips(getkey(), 3, [0], 1)
     loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100))
-    for step, weight in zip((0, 50, 100, 200), weights, strict=True):
+    for step, weight in zip((0, 25, 100, 200), weights, strict=True):
         total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
         rest = total - terms["reconstruction"] - terms["heat_map"]
         assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02), terms
+
+
+def test_what_ties_keypoints_is_mended_by_the_joint_first(getkey):
+    """Of an acrobot: the elbow answers for the forearm's length from the first step, the forearm's end in the end."""
+    items = (DistanceToPoint("elbow"), FixedDistance("elbow", "end"))
+    scene = dataclasses.replace(SCENE, keypoints=("elbow", "end"), constraint=Constraints(("elbow", "end"), items))
+    model = FastRecipe(width=8).model(scene, jax.random.key(0))
+    clip = clips(getkey(), 3, [0], 1)
+    loss = VisionLoss(joints=0.85, steps=100)
+
+    @eqx.filter_jit
+    @eqx.filter_grad
+    def push(model, step):
+        total, terms = loss(model, clip, key=jax.random.key(0), step=step)
+        return total - terms["reconstruction"] - terms["heat_map"]
+
+    for step, end_moves in ((0, False), (84, False), (86, True)):
+        kernel = push(model, jnp.array(step)).estimator.network.out.kernel
+        elbow, end = (bool(jnp.any(jnp.abs(kernel[..., k]) > 1e-6 * jnp.abs(kernel).max())) for k in (0, 1))
+        assert (elbow, end) == (True, end_moves), step
 
 
 def test_paper_model_predicts_with_its_adaptive_solver(paper_model, getkey):

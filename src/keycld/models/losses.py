@@ -39,18 +39,22 @@ class VisionLoss(AbstractLoss):
     - `constraint`: weight of the unevenness of the constraint functions over the batch, at the first and at the last
       of `steps` steps, linear between. Only DΦ enters eq. (6), so the constants are free, but they must be
       *constants*: where the distance to the pivot changes with the angle (paper, Fig. 13b) no dynamics can follow.
-    - `coupling`: the same weight at first for constraints on several keypoints. It stays for a fifth of the steps,
-      grows by equal factors for two fifths, and is then the last one of `constraint`; above zero. What ties one
+    - `coupling`: the same weight at first for constraints on several keypoints. It stays for a tenth of the steps,
+      grows by equal factors for three tenths, and is then the last one of `constraint`; above zero. What ties one
       keypoint to the world tells keypoints apart, and must bind at once; what ties keypoints to each other holds
       from the first step where they move as one, and would keep them from ever finding their parts
       (`docs/recipe.md` has the figures).
+    - `joints`: share of the steps in which such constraints are mended by joints alone (`_ends`). A joint has one
+      right place. Where it is not there yet, the keypoint at the other end could make the distance constant too, by
+      being seen beside its part, a pixel to and fro, and no dynamics moves like that.
     - `steps`: of the stage.
     - `sigma`: image-plane units.
     """
 
     heat_map: float = 1.0
     constraint: tuple[float, float] = (100.0, 1000.0)
-    coupling: float = 1.0
+    coupling: float = 10.0
+    joints: float = 0.85
     steps: int = 1000
     sigma: float = 0.05
 
@@ -62,14 +66,16 @@ class VisionLoss(AbstractLoss):
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
         seen = jax.vmap(model.observe)(frames)
         x = seen.keypoints.reshape(frames.shape[0], -1)
-        uneven, couples = _unevenness(model, x)
+        done = jnp.minimum(step / self.steps, 1.0)
+        left_alone = _ends(model, x) & (done < self.joints)
+        uneven, couples = _unevenness(model, jnp.where(left_alone[None, :], jax.lax.stop_gradient(x), x))
         terms = {
             "reconstruction": squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
             "heat_map": _focus(seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": jnp.sum(uneven),
         }
-        (first, last), done = self.constraint, jnp.minimum(step / self.steps, 1.0)
-        growth = (last / self.coupling) ** jnp.clip((done - 0.2) / 0.4, 0.0, 1.0)
+        first, last = self.constraint
+        growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
         total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + jnp.sum(weights * uneven)
         return total, terms
@@ -217,13 +223,24 @@ def _unevenness(model: KeyCLD, x: Array) -> tuple[Array, Array]:
     The first is mean (Φᵢ − mean Φᵢ)² / |DΦᵢ|², a squared length. Without the division keypoints would gain by coming
     together: the variance of a squared distance d² is 4d² times that of d.
     """
-    values = jax.vmap(model.constraint)(x)
-    # [batch, constraint, keypoint, 2]
-    jacobian = jax.vmap(jax.jacfwd(model.constraint))(x).reshape(*values.shape, x.shape[-1] // 2, 2)
-    slopes = jnp.sum(jacobian**2, axis=-1)
+    values, slopes = jax.vmap(model.constraint)(x), _slopes(model, x)
     couples = jnp.sum(jnp.any(slopes > 0, axis=0), axis=-1) > 1
     spread = (values - jnp.mean(values, axis=0)[None, :]) ** 2
     return jnp.mean(spread / (jnp.sum(slopes, axis=-1) + 1e-6), axis=0), couples
+
+
+def _ends(model: KeyCLD, x: Array) -> Array:
+    """Which components `[2K]` belong to keypoints that a single constraint ties to a joint, itself under several."""
+    touched = jnp.any(_slopes(model, x) > 0, axis=0)
+    joint = jnp.sum(touched, axis=0) > 1
+    to_joint = jnp.any(touched & joint[None, :], axis=1)
+    return jnp.repeat(~joint & jnp.any(touched & to_joint[:, None], axis=0), 2)
+
+
+def _slopes(model: KeyCLD, x: Array) -> Array:
+    """|∂Φᵢ/∂xₖ|² `[batch, constraint, keypoint]`."""
+    jacobian = jax.vmap(jax.jacfwd(model.constraint))(x)
+    return jnp.sum(jacobian.reshape(*jacobian.shape[:2], x.shape[-1] // 2, 2) ** 2, axis=-1)
 
 
 def squared_error(drawn: Float[Array, "B H W 3"], frames: Float[Array, "B H W 3"]) -> Float[Array, ""]:
