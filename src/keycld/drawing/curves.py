@@ -156,7 +156,7 @@ def panels_figure(
                 axes.tick_params(labelbottom=True)
         handles, words = grid.flat[0].get_legend_handles_labels()
         if handles:
-            figure.legend(handles, words, loc="outside upper left", ncols=len(words))
+            figure.legend(handles, words, loc="outside upper left", ncols=min(len(words), 2 * columns))
         return figure
 
 
