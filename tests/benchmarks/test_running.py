@@ -11,8 +11,8 @@ from pathlib import Path
 import bench_stub
 import pytest
 
+from keycld._lock import holder, locked
 from keycld.benchmarks import Place, run_experiments, status_of, suite_named
-from keycld.benchmarks.lock import holder, locked
 
 STUB = [sys.executable, str(Path(__file__).with_name("bench_stub.py"))]
 DRIVER = """

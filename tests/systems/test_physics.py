@@ -67,3 +67,29 @@ def test_motors_clip_only_where_they_are_told_to(name):
     )
     free = system.simulate(start, strong, 5, clip=False).state
     assert np.abs(free - system.simulate(start, limit, 5, clip=False).state).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", names(AbstractMujocoSystem))
+def test_half_of_the_upright_starts_are_close_to_upright(name):
+    system = get(name)
+    starts, random = (
+        np.array([_start(system, seed, start) for seed in range(400)]) for start in ("upright", "random")
+    )
+    # Within three deviations: a fifth of random starts with one angle, a twenty-fifth with two.
+    close, by_chance = (_is_close(system, each) for each in (starts, random))
+    assert 0.44 < close.mean() - 0.5 * by_chance.mean() < 0.56
+    assert len(np.unique(starts, axis=0)) == len(starts)
+    near = starts[close]
+    half = near.shape[1] // 2
+    # MuJoCo has moved one frame on.
+    np.testing.assert_allclose(near[:, :half].std(axis=0), 0.2, atol=0.05)
+    assert np.all(near[:, half:].std(axis=0) > 0.7)
+
+
+def _start(system, seed, start):
+    return system.record(np.random.RandomState(seed), 1, Conditions(control="none", start=start)).state[0]
+
+
+def _is_close(system, states):
+    half = states.shape[1] // 2
+    return np.all(np.abs(states[:, :half]) < 0.6, axis=1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
+from keycld._lock import locked
 from keycld.training import finished, load_run, train
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, save_checkpoint
 from keycld.training.presets import FastRecipe
@@ -80,6 +81,14 @@ def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_
         train(data, root / "whole", settings=TINY, seed=1)
     with pytest.raises(KeycldError, match="settings.joint_rate was .*, now 0.5"):
         train(data, root / "whole", settings=TINY | {"joint_rate": 0.5})
+
+
+def test_two_processes_do_not_train_in_one_folder(whole, tmp_path):
+    root, data, _ = whole
+    run = shutil.copytree(root / "whole", tmp_path / "run")
+    # A lock belongs to an open file, not to a process, so this one may stand for another.
+    with locked(run / ".lock"), pytest.raises(KeycldError, match="another process is training in .*run"):
+        train(data, run, settings=TINY)
 
 
 def test_what_the_recipe_refuses_leaves_no_folder(whole, tmp_path):

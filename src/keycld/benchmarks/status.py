@@ -5,7 +5,7 @@ from typing import Any, Literal, NamedTuple
 
 from keycld._errors import KeycldError
 from keycld.benchmarks.experiment import Experiment, Place
-from keycld.benchmarks.lock import holder
+from keycld._lock import holder
 from keycld.benchmarks.results import read_json
 
 # Files of a run folder that are the bench's own.

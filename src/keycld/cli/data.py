@@ -16,7 +16,7 @@ def make(
     out: Path | None = None,
     protocol: str | None = None,
     control: str | None = None,
-    start: Literal["rest", "random"] | None = None,
+    start: Literal["rest", "random", "upright"] | None = None,
     clip: bool | None = None,
     input: Literal["constant", "random-walk"] | None = None,
     size: Literal["default", "full"] = "default",
@@ -39,7 +39,8 @@ def make(
             keycld-2022, priors-released.
         control: Which inputs act: none, under (the second does not), full, or the name of the one that acts alone,
             such as elbow_torque. Default: the protocol's.
-        start: How runs start: rest or random. Default: the protocol's.
+        start: How runs start: rest, random, or upright (half of them near that pose, for control that must hold it).
+            Default: the protocol's.
         clip: Whether the motors limit the input to their range. Default: the protocol's.
         input: Whether the input is constant in a run or a random-walk held for a frame. Default: constant.
         size: full is the published size of the md and room sets, which takes hours; the others are full by default.

@@ -22,7 +22,9 @@ class Conditions:
         control: which inputs act: `"full"`, all; `"under"`, all but the second; `"none"`, no input; the name of an
             input: that one alone.
         start: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal version's, all
-            positions and velocities random; `"released"`, any position, exactly zero velocity.
+            positions and velocities random; `"upright"`, the same in half of the runs, and in the others close to
+            upright, positions off by a normal 0.2 rad (or m) and velocities by 1/s; `"released"`, any position,
+            exactly zero velocity.
         input_limit: u is drawn uniformly from ± this.
         clip: whether the motors limit u to the system's `input_range`.
         input: `"constant"` in a run, or a `"random-walk"`: held for a frame, then moved by a normal number of deviation

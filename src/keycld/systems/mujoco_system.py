@@ -18,6 +18,9 @@ from keycld.systems.base import AbstractMechanism, Conditions, Drawer, Run
 # Half of MuJoCo's default vertical field of view, 45 degrees.
 _HALF_VIEW = math.radians(22.5)
 _ZERO_INPUT_PROBABILITY = 0.2
+# Of starts near upright, and their deviation in radians and metres; that of velocities is 1 a second.
+_UPRIGHT_PROBABILITY = 0.5
+_UPRIGHT_SPREAD = 0.2
 # Of a random walk, by frame: it crosses its range in about 50 frames.
 _WALK = 0.15
 
@@ -75,7 +78,7 @@ class AbstractMujocoSystem(AbstractMechanism):
         camera_distance: of the fixed camera from the plane of motion, metres.
     """
 
-    starts: ClassVar[tuple[str, ...]] = ("rest", "random", "released")
+    starts: ClassVar[tuple[str, ...]] = ("rest", "random", "upright", "released")
     input_range: ClassVar[float] = 3.0
     camera_height: ClassVar[float]
     camera_distance: ClassVar[float]
@@ -115,7 +118,9 @@ class AbstractMujocoSystem(AbstractMechanism):
             position = self.positions(random, slider_limit=0.5)
             return position, np.zeros_like(position)
         position, velocity = self.rest(random)
-        if conditions.start == "random":
+        if conditions.start == "upright" and random.uniform() < _UPRIGHT_PROBABILITY:
+            return _UPRIGHT_SPREAD * random.randn(len(position)), random.randn(len(velocity))
+        if conditions.start in ("random", "upright"):
             position = self.positions(random, slider_limit=1.0)
             velocity = random.uniform(-0.1, 0.1, size=velocity.shape)
         return position, velocity

@@ -1,5 +1,6 @@
 """From a data set and a preset to a trained model in a run folder."""
 
+import contextlib
 import dataclasses
 import shlex
 import sys
@@ -12,6 +13,7 @@ import jax
 import numpy as np
 
 from keycld._errors import KeycldError, check_seed, unknown
+from keycld._lock import locked
 from keycld.data import DataSet, open_data, resident, sha256
 from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
 from keycld.mechanics import (
@@ -98,24 +100,24 @@ def train(
         stage.sampler.check(data_on_device)
     # What the recipe refuses, it refuses before the folder is claimed.
     eqx.filter_eval_shape(recipe.model, scene, jax.random.key(0), model)
-    open_run(folder, config)
-    tracker = make_tracker(track, folder, dataclasses.asdict(config))
-    try:
-        return train_stages(
-            lambda k: recipe.model(scene, jax.random.fold_in(jax.random.key(seed), k), model),
-            stages,
-            data_on_device,
-            folder,
-            seed=seed,
-            steps_per_dispatch=steps_per_dispatch,
-            checkpoint_seconds=checkpoint_seconds,
-            log_every=log_every,
-            keep=keep,
-            tracker=tracker,
-            validate=validation_score(dataset),
-        )
-    finally:
-        tracker.close()
+    with locked(folder / ".lock") as mine:
+        if not mine:
+            raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
+        open_run(folder, config)
+        with contextlib.closing(make_tracker(track, folder, dataclasses.asdict(config))) as tracker:
+            return train_stages(
+                lambda k: recipe.model(scene, jax.random.fold_in(jax.random.key(seed), k), model),
+                stages,
+                data_on_device,
+                folder,
+                seed=seed,
+                steps_per_dispatch=steps_per_dispatch,
+                checkpoint_seconds=checkpoint_seconds,
+                log_every=log_every,
+                keep=keep,
+                tracker=tracker,
+                validate=validation_score(dataset),
+            )
 
 
 def load_run(run: str | Path, constraint: Callable | None = None) -> tuple[AbstractModel, RunConfig]:
