@@ -13,8 +13,8 @@ import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
-from keycld.benchmarks.experiment import Experiment, Place
 from keycld._lock import locked
+from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import condense, read_json, record_failure, write_json
 from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
 from keycld.benchmarks.status import LOCK, LOG, status_of

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from keycld._errors import KeycldError
-from keycld.benchmarks.experiment import Experiment, Place
 from keycld._lock import holder
+from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import read_json
 
 # Files of a run folder that are the bench's own.
