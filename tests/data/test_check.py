@@ -156,6 +156,13 @@ def test_a_folder(tmp_path):
     assert "holds no .h5 file" in check(tmp_path)[0]
     write(tmp_path / "train.h5", sample())
     assert check(tmp_path) == []
+    write(tmp_path / "validation.h5", sample())
+    with h5py.File(tmp_path / "validation.h5", "r+") as file:
+        attribute("dt", 2 * file.attrs["dt"])(file)
+        replace("time", lambda time: 2 * time)(file)
+    (differs,) = check(tmp_path)
+    assert "validation.h5 differs from train.h5 in 'dt'" in differs
+    (tmp_path / "validation.h5").unlink()
     (tmp_path / "statistics.json").write_text(
         json.dumps({"splits": {"train": {"sha256": "0"}, "test": {"sha256": "0"}}})
     )

@@ -72,9 +72,7 @@ def test_motors_clip_only_where_they_are_told_to(name):
 @pytest.mark.parametrize("name", names(AbstractMujocoSystem))
 def test_half_of_the_upright_starts_are_close_to_upright(name):
     system = get(name)
-    starts, random = (
-        np.array([_start(system, seed, start) for seed in range(400)]) for start in ("upright", "random")
-    )
+    starts, random = (np.array([_start(system, seed, start) for seed in range(400)]) for start in ("upright", "random"))
     # Within three deviations: a fifth of random starts with one angle, a twenty-fifth with two.
     close, by_chance = (_is_close(system, each) for each in (starts, random))
     assert 0.44 < close.mean() - 0.5 * by_chance.mean() < 0.56

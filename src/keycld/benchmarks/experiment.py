@@ -81,8 +81,8 @@ class Experiment:
 
     def changed_settings(self) -> dict[str, Any]:
         """Settings that are not the preset's own: those asked for, and as many given frames as are scored with."""
-        given = {"given": self.protocols[0].given} if self.preset == "fast" else {}
-        return given | self.settings
+        free = "given" in make_recipe(self.preset, {}).settings()
+        return ({"given": self.protocols[0].given} if free else {}) | self.settings
 
     def recipe(self) -> AbstractRecipe:
         """The preset with the changed settings.

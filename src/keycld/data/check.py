@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from keycld._errors import KeycldError
 from keycld.data.dataset import unfinished
@@ -26,14 +27,31 @@ def check(path: str | Path) -> list[str]:
     return [f"{path}: {problem}" for problem in problems]
 
 
+def _disagreements(files: list[Path]) -> Iterator[str]:
+    """What should be the same in all files of a folder and is not."""
+    found: dict[str, tuple[Any, Path]] = {}
+    for path in files:
+        with open_file(path) as file:
+            facts = {"system": file.attrs["system"], "dt": float(file.attrs["dt"]), "inputs": file["input"].shape[-1]}
+            if "image" in file:
+                facts["size of a picture"] = file["image"].shape[2:4]
+        for name, value in facts.items():
+            first, where = found.setdefault(name, (value, path))
+            if value != first:
+                yield (
+                    f"{path} differs from {where.name} in '{name}': {value}, not {first}; "
+                    "all files of a folder must show the same thing, so make or import one of them again."
+                )
+
+
 def _check_folder(folder: Path) -> Iterator[str]:
     files = sorted(folder.glob("*.h5"))
     if not files:
         yield f"{folder} holds no .h5 file: make or import data there first."
     if unfinished(folder):
         yield f"{folder} is unfinished: run the command that made it once more."
-    for file in files:
-        yield from check(file)
+    problems = [problem for file in files for problem in check(file)]
+    yield from problems or _disagreements(files)
     try:
         stored = read_statistics(folder) or {}
     except KeycldError as error:
