@@ -29,7 +29,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         os.replace(hidden / path.name, path)
         sync(path.parent)
     except OSError as error:
-        raise _writing_error(path, error) from error
+        raise writing_error(path, error) from error
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
 
@@ -53,7 +53,7 @@ def make_folder(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise _writing_error(path, error) from error
+        raise writing_error(path, error) from error
 
 
 def sync(path: Path) -> None:
@@ -65,7 +65,7 @@ def sync(path: Path) -> None:
         os.close(handle)
 
 
-def _writing_error(path: Path, error: OSError) -> KeycldError:
+def writing_error(path: Path, error: OSError) -> KeycldError:
     """What to tell of a file that could not be written."""
     # h5py gives the reason in the text only.
     if error.errno in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):

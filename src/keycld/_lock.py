@@ -11,6 +11,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from keycld._files import make_folder, writing_error
+
 _BEAT_SECONDS = 10.0
 
 
@@ -33,9 +35,16 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
     Args:
         path: the lock's file.
         wait: until the other is done, instead of giving up.
+
+    Raises:
+        KeycldError: the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+") as file:
+    make_folder(path.parent)
+    try:
+        opened = path.open("a+")
+    except OSError as error:
+        raise writing_error(path, error) from error
+    with opened as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
