@@ -6,7 +6,7 @@ from typing import NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from keycld.control.base import spread
 from keycld.control.lqr import Weights, frame_step
@@ -14,6 +14,10 @@ from keycld.mechanics import AbstractDynamics, solve_positive
 
 _GUESSES = ((0.4, 0.0), (0.6, math.pi), (0.9, 0.0), (1.2, math.pi))
 """Frequencies (Hz) and phases of the swinging inputs that the search starts from."""
+_FROM_NOTHING = 0.7
+"""Part of the limit that a plan from nothing may use."""
+_REFINED = 0.95
+"""Part that a refined one may use."""
 _STEPS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 0.003)
 """Lengths that the line search tries."""
 
@@ -37,26 +41,31 @@ class Plan(NamedTuple):
 class Planner(eqx.Module):
     """Finds motions to a goal under limited inputs by iLQR (Li and Todorov 2004) on the learned dynamics.
 
-    Minimises Σ dt (0.05 ‖z − z*‖² + r w²) + 10 ‖z_H − z*‖² over w, where u = limit · tanh w, so that limits hold by
-    construction. Each iteration linearises the dynamics along the motion, solves the linear–quadratic problem backward,
-    and searches forward along its feedback law. The best of four swings to start from is taken; then gains that keep
-    the motion are found by the Riccati equation along it.
+    Minimises Σ dt (q_k ‖z_k − z*‖² + r w_k²) + 10 ‖z_H − z*‖² over w, where u = share · limit · tanh w, so that limits
+    hold by construction; q = 0.05 on the way and 1 from the arrival on. Each iteration linearises the dynamics along
+    the motion, solves the linear–quadratic problem backward, and searches forward along its feedback law. Then gains
+    that keep the motion are found by the Riccati equation along it.
+
+    A plan from nothing takes the best of four swings and leaves a part of the limit to what comes after it: a motion
+    that needs all of the input from the start cannot be mended on the way. `refine` mends it.
 
     Attributes:
         dynamics: learned, or true.
         goal: z* [4K].
         actuators: numbers of the inputs that act.
         inputs: of all inputs.
-        limit: the largest |u| of the plan.
+        limit: the largest |u|.
         dt: seconds between frames.
-        horizon: frames.
-        iterations: of the search.
+        horizon: frames of a plan.
+        stay: the last of them, in which the goal is to be held.
+        iterations: of the search from nothing.
+        refinements: iterations from an older plan.
         effort: r. Slow motions with inputs far from the limit: a learned model is off by a tenth of a fast motion's
             acceleration, and feedback needs what the plan leaves.
         reach: what deviations count alike in ‖z − z*‖².
         hold: what deviations cost in tracking.
 
-    Good values: 3 to 4 s, 80 iterations.
+    Good values: 4 s, half a second of which are to hold the goal; 80 iterations, 6 refinements.
     """
 
     dynamics: AbstractDynamics
@@ -66,7 +75,9 @@ class Planner(eqx.Module):
     limit: float
     dt: float
     horizon: int = eqx.field(static=True)
+    stay: int = eqx.field(static=True)
     iterations: int = eqx.field(static=True, default=80)
+    refinements: int = eqx.field(static=True, default=6)
     effort: float = 0.3
     reach: Weights = Weights(0.2, 0.25, 1.0)
     hold: Weights = Weights(0.1, 1.0, 0.3)
@@ -77,31 +88,83 @@ class Planner(eqx.Module):
         time = self.dt * jnp.arange(self.horizon)
         starts = jnp.stack([0.5 * jnp.sin(2 * math.pi * f * time + phase) for f, phase in _GUESSES])
         w = jnp.broadcast_to(starts[:, :, None], (*starts.shape, len(self.actuators)))
-        motions, w, costs = jax.vmap(lambda w: self._search(z, w, constants))(w)
+        search = lambda w: self._search(z, w, constants, _FROM_NOTHING, self.arrival, self.iterations)  # noqa: E731
+        motions, us, costs = jax.vmap(search)(w)
         best = jnp.argmin(costs)
-        motion, w = motions[best], w[best]
-        gain = self._tracking(motion, w, constants, ahead)
-        return Plan(motion, jax.vmap(self._input)(w), gain, costs[best])
+        return Plan(motions[best], us[best], self._tracking(motions[best], us[best], constants, ahead), costs[best])
 
-    def _input(self, w: Array) -> Array:
-        return spread(self.limit * jnp.tanh(w), self.actuators, self.inputs)
+    @eqx.filter_jit
+    def refine(
+        self,
+        z: Float[Array, "two_dim"],
+        plan: Plan,
+        age: Int[Array, ""],
+        left: Int[Array, ""],
+        hold: Float[Array, "a two_dim"],
+        constants: Float[Array, "n"],
+        ahead: Float[Array, "s s"],
+    ) -> Plan:
+        """A plan from `z`, searched for near the motion that the feedback of an older plan would make.
 
-    def _step(self, z: Array, w: Array, constants: Array) -> Array:
-        return frame_step(self.dynamics, z, self._input(w), constants, self.dt)
+        Args:
+            z: where the plan begins.
+            plan: the older one.
+            age: its frame that is `z`'s.
+            left: frames until the goal is to be reached.
+            hold: gain after the older plan's end.
+            constants: of the constraints.
+            ahead: as for a plan from nothing.
+        """
+        act = jnp.asarray(self.actuators)
 
-    def _search(self, start: Array, w: Array, constants: Array) -> tuple[Array, Array, Array]:
+        def move(z, k):
+            u = self.follow(plan, hold, z, k)[act]
+            w = jnp.arctanh(jnp.clip(u / (_REFINED * self.limit), -0.97, 0.97))
+            return self._step(z, w, constants, _REFINED), w
+
+        _, w = jax.lax.scan(move, z, age + jnp.arange(self.horizon))
+        motion, u, cost = self._search(z, w, constants, _REFINED, left, self.refinements)
+        return Plan(motion, u, self._tracking(motion, u, constants, ahead), cost)
+
+    def follow(
+        self, plan: Plan, hold: Float[Array, "a two_dim"], z: Float[Array, "two_dim"], k: Int[Array, ""]
+    ) -> Float[Array, "l"]:
+        """The input at the plan's frame `k`: feedback about it, after its end about the goal with gain `hold`."""
+        over, k = k >= self.horizon, jnp.minimum(k, self.horizon - 1)
+        away = z - jnp.where(over, self.goal, plan.z[k])
+        feedback = spread(-_times(jnp.where(over, hold, plan.gain[k]), away), self.actuators, self.inputs)
+        return jnp.where(over, 0.0, plan.u[k]) + feedback
+
+    @property
+    def arrival(self) -> int:
+        """The frame of a plan at which the goal is to be reached."""
+        return self.horizon - self.stay
+
+    def _input(self, w: Array, share: float) -> Array:
+        return spread(share * self.limit * jnp.tanh(w), self.actuators, self.inputs)
+
+    def _step(self, z: Array, w: Array, constants: Array, share: float) -> Array:
+        return frame_step(self.dynamics, z, self._input(w, share), constants, self.dt)
+
+    def _search(
+        self, start: Array, w: Array, constants: Array, share: float, left: int | Array, iterations: int
+    ) -> tuple[Array, Array, Array]:
         weight = jnp.diagonal(self.reach.state_cost(self.goal.shape[0] // 2))
-        running, final, effort = 0.05 * self.dt * weight, 10 * weight, self.effort * self.dt
+        urgency = jnp.where(jnp.arange(self.horizon) < left, 0.05, 1.0)
+        running, final, effort = self.dt * urgency[:, None] * weight[None, :], 10 * weight, self.effort * self.dt
+
+        def step(z, w):
+            return self._step(z, w, constants, share)
 
         def cost(z, w):
             away = (z - self.goal[None, :]) ** 2
-            return 0.5 * (jnp.sum(away[:-1] * running[None, :]) + jnp.sum(away[-1] * final) + effort * jnp.sum(w * w))
+            return 0.5 * (jnp.sum(away[:-1] * running) + jnp.sum(away[-1] * final) + effort * jnp.sum(w * w))
 
         def forward(length, z, w, feed, gain):
             def body(now, each):
                 z, w, feed, gain = each
                 w = jnp.clip(w + length * feed + _times(gain, now - z), -3.0, 3.0)
-                return self._step(now, w, constants), (now, w)
+                return step(now, w), (now, w)
 
             last, (path, w) = jax.lax.scan(body, z[0], (z[:-1], w, feed, gain))
             path = jnp.concatenate([path, last[None]])
@@ -109,11 +172,11 @@ class Planner(eqx.Module):
 
         def iterate(carry, _):
             z, w, best, damping = carry
-            a, b = jax.vmap(jax.jacfwd(self._step, argnums=(0, 1)), in_axes=(0, 0, None))(z[:-1], w, constants)
+            a, b = jax.vmap(jax.jacfwd(step, argnums=(0, 1)))(z[:-1], w)
 
             def backward(carry, each):
                 slope, bend = carry
-                a, b, z, w = each
+                a, b, z, w, running = each
                 qz = running * (z - self.goal) + _times(a.T, slope)
                 qw = effort * w + _times(b.T, slope)
                 ba = _product(b.T, bend)
@@ -127,7 +190,7 @@ class Planner(eqx.Module):
                 return (slope, 0.5 * (bend + bend.T)), (feed, gain)
 
             end = (final * (z[-1] - self.goal), jnp.diag(final))
-            _, (feed, gain) = jax.lax.scan(backward, end, (a, b, z[:-1], w), reverse=True)
+            _, (feed, gain) = jax.lax.scan(backward, end, (a, b, z[:-1], w, running), reverse=True)
             paths, ws, costs = jax.vmap(lambda s: forward(s, z, w, feed, gain))(jnp.array(_STEPS))
             costs = jnp.where(jnp.isfinite(costs), costs, jnp.inf)
             chosen = jnp.argmin(costs)
@@ -141,16 +204,17 @@ class Planner(eqx.Module):
         still_gain = jnp.zeros((self.horizon, w.shape[1], start.shape[0]))
         z0 = jnp.broadcast_to(start[None, :], (self.horizon + 1, start.shape[0]))
         z, w, first = forward(0.0, z0, w, still, still_gain)
-        carry, _ = jax.lax.scan(iterate, (z, w, first, jnp.float32(1e-2)), length=self.iterations)
-        return carry[0], carry[1], carry[2]
+        carry, _ = jax.lax.scan(iterate, (z, w, first, jnp.float32(1e-2)), length=iterations)
+        z, w, best, _ = carry
+        return z, jax.vmap(lambda w: self._input(w, share))(w), best
 
-    def _tracking(self, z: Array, w: Array, constants: Array, ahead: Array) -> Array:
+    def _tracking(self, z: Array, u: Array, constants: Array, ahead: Array) -> Array:
         act = jnp.asarray(self.actuators)
 
         def step(z, u):
             return frame_step(self.dynamics, z, u, constants, self.dt)
 
-        a, b = jax.vmap(jax.jacfwd(step, argnums=(0, 1)))(z[:-1], jax.vmap(self._input)(w))
+        a, b = jax.vmap(jax.jacfwd(step, argnums=(0, 1)))(z[:-1], u)
         cost = jnp.asarray(self.hold.state_cost(z.shape[1] // 2), z.dtype)
         effort = jnp.eye(len(self.actuators)) / (self.hold.input * self.limit) ** 2
 

@@ -148,6 +148,9 @@ def _observer(model: AbstractModel, dt: float, assignment: Assignment) -> Abstra
     if assignment.observer == "differences":
         return BackwardDifference(law, dt)
     dynamics, constants = model.dynamics, shared_constants(model)  # pyright: ignore[reportAttributeAccessIssue]
+    if assignment.law == "mpc":
+        # A plan trusts the dynamics, and errors of velocity are what it cannot mend.
+        return PredictCorrect(law, dynamics, dt, acceleration_error=1.0, adaptation=0.0, constants=constants)
     return PredictCorrect(law, dynamics, dt, constants=constants)
 
 

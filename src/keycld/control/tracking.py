@@ -9,13 +9,17 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int
 
 from keycld._errors import KeycldError
-from keycld.control.base import AbstractController, Belief, spread
-from keycld.control.lqr import stationary_gain
+from keycld.control.base import AbstractController, Belief
+from keycld.control.lqr import frame_step, stationary_gain
 from keycld.control.planning import Plan, Planner
-from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, Rattle, State
+from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Rattle
 
 _LOST = 0.25
-"""Image-plane units (eight pixels of 64) between a keypoint and its place in the plan."""
+"""Image-plane units (eight pixels of 64) between a keypoint and where it should be."""
+_MISSES = 0.15
+"""The same at the end of a refined plan, which then does not reach the goal."""
+_LATE = 25
+"""Frames after the arrival in which the goal has to be near."""
 _FIRST_LOOK = 8
 """Frames to find the velocity in before the first plan."""
 
@@ -25,14 +29,14 @@ class Tracked(NamedTuple):
 
     Attributes:
         plan: the one that is followed.
-        age: frames since it began.
-        wait: frames until there may be another one.
-        lost: whether one is needed.
+        age: its frame that is next.
+        clock: frames since the last plan from nothing.
+        lost: whether another one is needed.
     """
 
     plan: Plan
     age: Int[Array, ""]
-    wait: Int[Array, ""]
+    clock: Int[Array, ""]
     lost: Bool[Array, ""]
 
 
@@ -41,7 +45,9 @@ class PlanAndTrack(AbstractController):
 
     From what is believed after the first frames a motion to the goal is planned in the learned dynamics (`Planner`);
     along it, time-varying linear–quadratic feedback keeps the system on the plan, and at its end stationary feedback
-    (`stationary_gain`) holds the goal. A copy that is more than eight pixels from where it should be gets a new plan.
+    (`stationary_gain`) holds the goal. On the way the plan is refined every fifth of a second from where the system is:
+    near the upright acrobot errors grow e-fold in less than half a second, and feedback under a limit mends small ones
+    only. A copy that is eight pixels from where it should be, or whose refined plan misses the goal, gets a new plan.
 
     Tracking is a matrix product a frame. Planning takes longer than a frame and is not counted as a step: in simulation
     the world waits for it.
@@ -50,13 +56,15 @@ class PlanAndTrack(AbstractController):
         planner: of motions.
         gain: [a, 4K], that holds the goal.
         ahead: [4K, 4K], its cost-to-go.
-        rest: frames between two plans of one copy, at least.
+        rest: frames between two plans of one copy from nothing, at least.
+        refresh: frames between two refinements.
     """
 
     planner: Planner
     gain: Float[Array, "a two_dim"]
     ahead: Float[Array, "two_dim two_dim"]
     rest: int = eqx.field(static=True)
+    refresh: int = eqx.field(static=True)
 
     @classmethod
     def towards(
@@ -91,13 +99,15 @@ class PlanAndTrack(AbstractController):
             jnp.concatenate([goal, 0 * goal]),
             actuators,
             inputs,
-            0.7 * limit,  # what is left is for feedback
+            limit,
             dt,
             round(seconds / dt),
+            round(0.5 / dt),
         )
         weights = planner.hold._replace(input=planner.hold.input * limit)
         gain, ahead = stationary_gain(dynamics, goal, jnp.zeros(inputs), law.constraint(goal), actuators, dt, weights)
-        return cls(planner, jnp.asarray(gain, goal.dtype), jnp.asarray(ahead, goal.dtype), round(0.5 / dt))
+        matrices = jnp.asarray(gain, goal.dtype), jnp.asarray(ahead, goal.dtype)
+        return cls(planner, *matrices, rest=round(0.5 / dt), refresh=round(0.2 / dt))
 
     def begin(self) -> Tracked:
         """No plan yet."""
@@ -109,37 +119,47 @@ class PlanAndTrack(AbstractController):
             jnp.asarray(jnp.inf),
         )
         zero = jnp.zeros((), jnp.int32)
-        return Tracked(nothing, zero, zero + _FIRST_LOOK, jnp.asarray(True))
+        return Tracked(nothing, zero, zero + self.rest - _FIRST_LOOK, jnp.asarray(True))
 
     def act(self, belief: Belief, memory: Tracked) -> tuple[Float[Array, "l"], Tracked]:
         """Feedback about the plan, and about the goal after its end; nothing before the first plan."""
-        plan, age = memory.plan, memory.age
-        steps = self.planner.horizon
-        z = jnp.concatenate(belief.state.coordinates)
-        over = age >= steps
-        k = jnp.minimum(age, steps - 1)
-        wanted = jnp.where(over, self.planner.goal, plan.z[k])
-        away = z - wanted
-        gain = jnp.where(over, self.gain, plan.gain[k])
+        plan, age, clock = memory.plan, memory.age, memory.clock
+        z, goal, last = jnp.concatenate(belief.state.coordinates), self.planner.goal, self.planner.horizon
         known = jnp.isfinite(plan.cost)
-        feedback = spread(-jnp.sum(gain * away[None, :], axis=1), self.planner.actuators, self.planner.inputs)
-        u = jnp.where(known, jnp.where(over, 0.0, plan.u[k]) + feedback, 0.0)
-        far = jnp.max(jnp.abs(away[: away.shape[0] // 2])) > _LOST
-        return u, Tracked(plan, age + 1, jnp.maximum(memory.wait - 1, 0), far | ~known)
+        u = jnp.where(known, self.planner.follow(plan, self.gain, z, age), 0.0)
+        late = clock > self.planner.arrival + _LATE
+        off_plan = _distance(z, plan.z[jnp.minimum(age, last)]) > _LOST
+        lost = ~known | off_plan | (late & (_distance(z, goal) > _LOST))
+        return u, Tracked(plan, age + 1, clock + 1, lost)
 
     def attend(self, beliefs: Belief, memories: Tracked, held: Float[np.ndarray, "n l"]) -> Tracked:
-        """Plan for the copies that are lost, from where they will be at the next frame."""
-        due = np.flatnonzero(np.asarray(memories.lost & (memories.wait == 0)))
-        for i in due:
-            belief = jax.tree.map(lambda leaf, i=i: leaf[i], beliefs)
-            plan = self._plan(belief, jnp.asarray(held[i]))
-            fresh = Tracked(plan, jnp.zeros((), jnp.int32), jnp.asarray(self.rest, jnp.int32), jnp.asarray(False))
-            memories = jax.tree.map(lambda all, one, i=i: all.at[i].set(one), memories, fresh)
+        """Plan for the copies that are lost and refine the others' plans, from where they will be at the next frame."""
+        clock, lost = np.asarray(memories.clock), np.asarray(memories.lost)
+        known = np.isfinite(np.asarray(memories.plan.cost))
+        on_the_way = known & ~lost & (clock % self.refresh == 0) & (clock < self.planner.arrival)
+        for i in np.flatnonzero(on_the_way | (lost & (clock >= self.rest))):
+            belief, memory = jax.tree.map(lambda leaf, i=i: leaf[i], (beliefs, memories))
+            memory = self._plan(belief, memory, jnp.asarray(held[i]))
+            memories = jax.tree.map(lambda all, one, i=i: all.at[i].set(one), memories, memory)
         return memories
 
-    def _plan(self, belief: Belief, held: Float[Array, "l"]) -> Plan:
+    def _plan(self, belief: Belief, memory: Tracked, held: Float[Array, "l"]) -> Tracked:
         constants = belief.state.parameters["constants"]
-        next_state = self.planner.dynamics.step(
-            State(Motion(*belief.state.coordinates), {"constants": constants}), held, self.planner.dt
+        z = frame_step(
+            self.planner.dynamics, jnp.concatenate(belief.state.coordinates), held, constants, self.planner.dt
         )
-        return self.planner(jnp.concatenate(next_state.coordinates), constants, self.ahead)
+        if not memory.lost:
+            left = self.planner.arrival - memory.clock
+            plan = self.planner.refine(z, memory.plan, memory.age, left, self.gain, constants, self.ahead)
+            arrives = jnp.isfinite(plan.cost) & (_distance(plan.z[-1], self.planner.goal) < _MISSES)
+            if arrives:
+                return memory._replace(plan=plan, age=jnp.zeros((), jnp.int32))
+            if memory.clock < self.rest:
+                return memory
+        zero = jnp.zeros((), jnp.int32)
+        return Tracked(self.planner(z, constants, self.ahead), zero, zero, jnp.asarray(False))
+
+
+def _distance(z: Array, other: Array) -> Array:
+    """The largest difference of a keypoint's coordinate."""
+    return jnp.max(jnp.abs(z - other)[: z.shape[0] // 2])
