@@ -9,9 +9,11 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld._lock import locked
+from keycld.data import open_data, resident
 from keycld.training import finished, load_run, train
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, save_checkpoint
 from keycld.training.presets import FastRecipe
+from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, share_constants
 from scenes import TINY
 
 
@@ -81,6 +83,22 @@ def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_
         train(data, root / "whole", settings=TINY, seed=1)
     with pytest.raises(KeycldError, match="settings.joint_rate was .*, now 0.5"):
         train(data, root / "whole", settings=TINY | {"joint_rate": 0.5})
+
+
+def test_the_control_preset_ends_with_a_fit_of_the_dynamics_alone(whole, tmp_path):
+    """A finished run of `fast` goes on with it."""
+    root, data, before = whole
+    run = shutil.copytree(root / "whole", tmp_path / "run")
+    config = json.loads((run / "config.json").read_text())
+    config |= {"preset": "control", "settings": config["settings"] | {"last_fit": 6}}
+    (run / "config.json").write_text(json.dumps(config))
+    after = train(data, run, preset="control", settings=TINY | {"last_fit": 6})
+    assert_same((before.estimator, before.renderer), (after.estimator, after.renderer))
+    _, cached = cache_keypoints(before, resident(open_data(data).train()))
+    prepared, _ = share_constants(before, cached)
+    expected, _ = fit_dynamics(prepared, cached, trajectories=6)
+    assert_same(expected, after)
+    assert (run / "checkpoints" / "latest").read_text().startswith("04-fit") and finished(run)
 
 
 def test_two_processes_do_not_train_in_one_folder(whole, tmp_path):

@@ -31,8 +31,8 @@ def train(
             a data set; your own needs a constraints.toml beside it, or --constraints.
         model: What to train: keycld (unless told), or an ablation: keycld-nc (no constraints), node2 (second-order
             neural ODE), fc (fully connected networks).
-        preset: The whole recipe: fast (unless told; minutes on two cores), paper (arXiv v1 as published) or journal
-            (the 2024 version); the last two need a GPU.
+        preset: The whole recipe: fast (unless told; minutes on two cores), control (longer, for models
+            that plan), paper (arXiv v1 as published) or journal (the 2024 version); the last two need a GPU.
         seed: Decides weights and data order; 0 unless told. Same seed, machine and settings: same bits.
         out: Run folder; runs/DATA-MODEL-PRESET-SEED unless told.
         set: Settings of the preset to change, such as vision_steps=500 joint_horizons=8,16 width=24.

@@ -65,7 +65,8 @@ class PredictCorrect(AbstractObserver):
         constants: of the constraints, where training has measured them; None: the mean of the last fifty sightings.
             A pose that training hardly showed is seen with wrong lengths: the upright acrobot's lower link by 7 %.
 
-    Good values: σₐ = 10, σ_y = 0.005 (a sixth of a pixel), ρ = 6, some times the √kp of the controller.
+    Good values: σₐ = 10, σ_y = 0.005 (a sixth of a pixel), ρ = 6, some times the √kp of the controller. Where plans are
+    followed σₐ = 1, ρ = 0: on the acrobot's swings its slow unstable direction is then known to 0.9°, not 1.7°.
     """
 
     law: ConstrainedLagrangian

@@ -53,7 +53,8 @@ def train(
     - `data`: name of a system whose data set is under `data/`, or the folder of any data set.
     - `out`: run folder.
     - `model`: `"keycld"`, or an ablation of it: `"keycld-nc"`, `"node2"`, `"fc"`.
-    - `preset`: `"fast"` (ours), `"paper"` (arXiv v1 as published) or `"journal"` (the 2024 version).
+    - `preset`: `"fast"` (ours), `"control"` (the same for models that plan), `"paper"` (arXiv v1 as published) or
+      `"journal"` (the 2024 version).
     - `settings`: fields of the preset's recipe to change, by name.
     - `seed`: of weights and data order. Same seed, machine and settings: same bits.
     - `constraints`: instead of those beside the data or of the system.

@@ -13,9 +13,6 @@ from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, fit_motions
 from keycld.models import shared_constants
 
-_FITTED = 150
-"""Trajectories in a fit of the dynamics; about fifty numbers are sought."""
-
 # Compiled once for all stages that fit.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -52,11 +49,12 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     return eqx.tree_at(lambda m: m.start.constants, model, jnp.mean(values, axis=0)), data
 
 
-def fit_dynamics(model: Any, data: Resident) -> tuple[Any, Resident]:
+def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
     """Least squares through the dynamics: masses and the affine parts of V and g from the cached keypoints.
 
     Gradient steps on a few clips leave these numbers several per cent off, which decides long predictions; whole
-    trajectories pin them down. A model without a Lagrangian is left as it is.
+    trajectories, about so many of them, pin them down: some fifty numbers are sought. A model without a Lagrangian is
+    left as it is.
     """
     dynamics = model.dynamics
     if not isinstance(getattr(dynamics, "law", None), ConstrainedLagrangian):
@@ -66,7 +64,7 @@ def fit_dynamics(model: Any, data: Resident) -> tuple[Any, Resident]:
         return eqx.is_inexact_array(leaf) and "perceptron" not in jax.tree_util.keystr(path)
 
     assert data.keypoints is not None
-    some = slice(None, None, max(1, len(data.u) // _FITTED))
+    some = slice(None, None, max(1, len(data.u) // trajectories))
     length = data.image.shape[1]
     horizons = tuple(sorted({min(frames, length) for frames in (length // 4, length // 2, length)}))
     fitted = _fit(
