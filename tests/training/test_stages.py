@@ -178,7 +178,9 @@ def test_settings_are_checked():
     assert make_recipe("fast", {"joint_horizons": [8], "sigma": 1}).settings()["sigma"] == 1.0
     with pytest.raises(KeycldError, match="did you mean 'vision_steps'"):
         make_recipe("fast", {"vision_step": 3})
-    with pytest.raises(KeycldError, match="given of preset 'fast' is at least 1, not 0"):
+    with pytest.raises(KeycldError, match="last_fit is at least 1, not 0"):
+        make_recipe("control", {"last_fit": 0})
+    with pytest.raises(KeycldError, match="given is at least 1, not 0"):
         make_recipe("fast", {"given": 0})
     with pytest.raises(KeycldError, match="joint_rate of preset 'fast' is a number of at least 0, not -1"):
         make_recipe("fast", {"joint_rate": -1.0})

@@ -22,6 +22,11 @@ class ControlRecipe(FastRecipe):
     long_steps: int = 10800
     last_fit: int = 225
 
+    def __post_init__(self) -> None:
+        """A fit needs a trajectory."""
+        super().__post_init__()
+        self._check_counts("last_fit")
+
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
         """Those of `fast`, and one without steps that fits."""
         stages = super().stages(scene, kind)

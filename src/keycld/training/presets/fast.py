@@ -92,9 +92,12 @@ class FastRecipe(AbstractRecipe):
     def __post_init__(self) -> None:
         """Counts of things that there must be at least one of."""
         counts = ("stride", "substeps", "candidates", "trial", "groups", "given")
-        for name in (*counts, "vision_batch", "dynamics_batch", "joint_batch"):
+        self._check_counts(*counts, "vision_batch", "dynamics_batch", "joint_batch")
+
+    def _check_counts(self, *names: str) -> None:
+        for name in names:
             if getattr(self, name) < 1:
-                raise KeycldError(f"setting {name} of preset 'fast' is at least 1, not {getattr(self, name)}.")
+                raise KeycldError(f"setting {name} is at least 1, not {getattr(self, name)}.")
 
     @property
     def context(self) -> int:
