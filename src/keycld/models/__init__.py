@@ -2,6 +2,7 @@
 
 from keycld.models.base import AbstractModel as AbstractModel
 from keycld.models.base import Prediction as Prediction
+from keycld.models.beginning import Beginning as Beginning
 from keycld.models.keycld import KeyCLD as KeyCLD
 from keycld.models.losses import AbstractLoss as AbstractLoss
 from keycld.models.losses import CollocationLoss as CollocationLoss
@@ -19,6 +20,7 @@ __all__ = [
     "AbstractLoss",
     "AbstractModel",
     "AbstractStart",
+    "Beginning",
     "CentralStart",
     "CollocationLoss",
     "DifferenceStart",

@@ -7,6 +7,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics import AbstractLaw, AdaptiveDynamics, ConstrainedLagrangian, MechanicalDynamics, State
 from keycld.models.base import AbstractModel
+from keycld.models.beginning import Beginning
 from keycld.models.starts import AbstractStart
 from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
 
@@ -21,6 +22,7 @@ class KeyCLD(AbstractModel):
     - `dynamics`: (M, V, g, Φ) of eq. (6) and the integrator that moves them.
     - `renderer`: keypoints → frame, eq. (9).
     - `start`: how the given frames' keypoints become a state.
+    - `beginning`: what recordings usually begin with, beside what those frames say. None: they say all.
 
     The paper's ablations are the same composition of other parts: KeyCLD-NC has a law without constraints, NODE2 a
     `SecondOrderNetwork` for a law, FC a `DenseEstimator` and a `DenseRenderer`.
@@ -30,6 +32,7 @@ class KeyCLD(AbstractModel):
     dynamics: MechanicalDynamics | AdaptiveDynamics
     renderer: AbstractRenderer
     start: AbstractStart
+    beginning: Beginning | None = None
 
     @property
     def context(self) -> int:
@@ -87,7 +90,11 @@ class KeyCLD(AbstractModel):
                 f"this model has {inputs} inputs, not {u.shape[-1]}: give data of the system that it was trained on."
             )
         x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
-        return self.start(self.dynamics, x, dt, u)
+        state = self.start(self.dynamics, x, dt, u)
+        if self.beginning is None:
+            return state
+        assert isinstance(self.dynamics, MechanicalDynamics)
+        return self.beginning(self.dynamics, state, u if u.ndim == 1 else u[0])
 
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
         """Integrates the dynamics; the constraints' constants stay those of the given state."""

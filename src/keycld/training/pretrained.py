@@ -20,6 +20,8 @@ from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.train import blank_model, load_run
 
 _SHELF = Path(__file__).parent / "weights"
+# Parts of a model that decide its motion: kept in single precision.
+_EXACT = (".dynamics", ".start", ".beginning")
 
 
 def pretrained() -> tuple[str, ...]:
@@ -94,7 +96,7 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
     for path, leaf in jax.tree_util.tree_leaves_with_path(model):
         if eqx.is_inexact_array(leaf):
             name = jax.tree_util.keystr(path)
-            weights[name] = np.asarray(leaf, np.float32 if name.startswith((".dynamics", ".start")) else np.float16)
+            weights[name] = np.asarray(leaf, np.float32 if name.startswith(_EXACT) else np.float16)
     np.savez_compressed(folder / "weights.npz", **weights)
     (folder / "constraints.toml").write_text(config.constraints)
     # What was typed may name folders of the machine; this trains the same.

@@ -28,10 +28,10 @@ class ControlRecipe(FastRecipe):
         self._check_counts("last_fit")
 
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
-        """Those of `fast`, and one without steps that fits."""
-        stages = super().stages(scene, kind)
+        """Those of `fast`, and before the last one without steps that fits."""
+        *stages, begin = super().stages(scene, kind)
         last = functools.partial(fit_dynamics, trajectories=self.last_fit)
         fit = dataclasses.replace(
-            stages[-1], name="fit", steps=0, prepare=in_turn(cache_keypoints, share_constants, last)
+            begin, name="fit", prepare=in_turn(cache_keypoints, share_constants, last), validate=False
         )
-        return *stages, fit
+        return *stages, fit, begin

@@ -21,10 +21,17 @@ from keycld.mechanics import (
     SecondOrderNetwork,
     as_constraint,
 )
-from keycld.models import AbstractStart, FittedStart, KeyCLD, PredictionLoss, TrackLoss, VisionLoss
+from keycld.models import AbstractStart, Beginning, FittedStart, KeyCLD, PredictionLoss, TrackLoss, VisionLoss
 from keycld.training.presets.base import AbstractRecipe, Scene
 from keycld.training.presets.parts import check_sizes, plain_start
-from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, in_turn, measure_statistics, share_constants
+from keycld.training.presets.prepare import (
+    cache_keypoints,
+    fit_dynamics,
+    in_turn,
+    measure_beginning,
+    measure_statistics,
+    share_constants,
+)
 from keycld.training.stages import Stage, muon, warmup_cosine
 from keycld.vision import (
     AbstractEstimator,
@@ -47,7 +54,8 @@ class FastRecipe(AbstractRecipe):
     1. `vision`: single frames; reconstruction, focused heat maps, constant constraint values.
     2. `dynamics`: roll-outs on cached keypoints, no pictures.
     3. `joint`: everything together, drawn from motions that start at two frames anywhere.
-    4. `long`: the same to the end of the recordings; then the validation score.
+    4. `long`: the same to the end of the recordings.
+    5. `beginning`: no steps; measures what recordings begin with. Then the validation score.
 
     Before 3 and 4 least squares fit the dynamics to whole trajectories.
 
@@ -117,6 +125,7 @@ class FastRecipe(AbstractRecipe):
             dynamics=self._dynamics(scene, keys[0], keys[1], kind),
             renderer=self._renderer(scene, keys[3], keys[4], dense=kind == "fc"),
             start=self._start(scene, kind),
+            beginning=None if kind == "node2" else Beginning.unknown(),
         )
 
     def _dynamics(self, scene: Scene, first: PRNGKeyArray, second: PRNGKeyArray, kind: str) -> MechanicalDynamics:
@@ -161,7 +170,7 @@ class FastRecipe(AbstractRecipe):
         )
 
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
-        """Vision, dynamics, joint, long; horizons longer than the trajectories are cut."""
+        """Vision, dynamics, joint, long, beginning; horizons longer than the trajectories are cut."""
         vision = Stage(
             name="vision",
             steps=self.vision_steps,
@@ -214,6 +223,8 @@ class FastRecipe(AbstractRecipe):
             steps=self.long_steps,
             sampler=clips(self.joint_batch, self.long_horizons, self.long_steps),
             prepare=in_turn(cache_keypoints, share_constants, fit_dynamics),
-            validate=True,
         )
-        return vision, dynamics, joint, long
+        begin = dataclasses.replace(
+            long, name="beginning", steps=0, prepare=in_turn(cache_keypoints, measure_beginning), validate=True
+        )
+        return vision, dynamics, joint, long, begin

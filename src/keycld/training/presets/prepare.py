@@ -10,8 +10,8 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import ConstrainedLagrangian, fit_motions
-from keycld.models import shared_constants
+from keycld.mechanics import ConstrainedLagrangian, fit_motions, joining_velocity
+from keycld.models import Beginning, shared_constants
 
 # Compiled once for all stages that fit.
 _fit = eqx.filter_jit(fit_motions)
@@ -79,6 +79,24 @@ def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tupl
     return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), data
 
 
+def measure_beginning(model: Any, data: Resident, *, trajectories: int = 150, frames: int = 24) -> tuple[Any, Resident]:
+    """Puts into the model what training recordings begin with, and how well its sightings tell that.
+
+    About so many recordings: the first velocity as `model.start` sees it, as the motion has it that passes best through
+    so many frames, and as it would be τ after rest. Three differences of three estimates tell the variance of each.
+    Medians, so that some recordings may begin otherwise, and some motions be lost. From the cached keypoints; a model
+    without a prior is left as it is.
+    """
+    if model.beginning is None:
+        return model, data
+    assert data.keypoints is not None
+    some, last = slice(None, None, max(1, len(data.u) // trajectories)), min(frames, data.image.shape[1])
+    seen, u, nothing = data.keypoints[some], data.u[some], jax.tree.map(lambda _: False, model.dynamics)
+    horizons = tuple(sorted({max(2, last // 2), last}))
+    fitted = _fit(model.dynamics, nothing, seen, u, data.dt, horizons=horizons, constants=shared_constants(model))
+    return eqx.tree_at(lambda m: m.beginning, model, _beginning(model, seen, fitted.paths, u, data.dt)), data
+
+
 def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
     """Several preparations as one."""
 
@@ -93,6 +111,31 @@ def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
     return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
+
+
+@eqx.filter_jit
+def _beginning(model: Any, seen: jax.Array, paths: jax.Array, u: jax.Array, dt: jax.Array) -> Beginning:
+    dynamics, law = model.dynamics, model.dynamics.law
+    freedom = seen.shape[-1] - law.count
+
+    def velocities(x: jax.Array, path: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
+        first = u if u.ndim == 1 else u[0]
+        sighted = model.start(dynamics, x[: model.context], dt, u).coordinates.v
+        held = {"constants": law.constraint(path[0])}
+        fitted = joining_velocity(dynamics, path[0], path[1], held, first, dt)
+        return sighted, fitted, law.acceleration(path[0], jnp.zeros_like(fitted), first)
+
+    def variance(errors: jax.Array) -> jax.Array:
+        """Of a component, from the median of the squared lengths: that of χ² with n degrees is near n (1 − 2/9n)³."""
+        return jnp.median(jnp.sum(errors**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3)
+
+    sighted, fitted, acceleration = jax.vmap(velocities)(seen, paths, u)
+    elapsed = jnp.median(jnp.sum(fitted * acceleration, axis=-1) / jnp.sum(acceleration**2, axis=-1))
+    rest = elapsed * acceleration
+    whole, spread = variance(sighted - rest), variance(fitted - rest)
+    spread = jnp.clip((whole + spread - variance(sighted - fitted)) / 2, 1e-4 * whole, whole)
+    speed = jnp.sqrt(jnp.mean(jnp.sum(jnp.diff(seen, axis=1) ** 2, axis=-1)) / freedom) / dt
+    return Beginning(elapsed, jnp.sqrt(spread), jnp.sqrt(whole - spread), speed)
 
 
 def _mean_and_deviation(data: Resident) -> tuple[jax.Array, jax.Array]:

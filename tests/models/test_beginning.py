@@ -1,0 +1,136 @@
+"""What recordings begin with, known beside what two pictures tell."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld.data import Resident
+from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    MechanicalDynamics,
+    Motion,
+    PointMasses,
+    Rattle,
+    State,
+)
+from keycld.models import Beginning, FittedStart
+from keycld.training.presets.prepare import measure_beginning
+
+DT = jnp.array(0.05)
+NOTHING = jnp.zeros(0)
+ERROR = 0.002  # of a sighting; √2 ERROR / DT = 0.057 of a velocity
+SIGHTING = np.sqrt(2) * ERROR / float(DT)
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    law = ConstrainedLagrangian(
+        PointMasses.ones(1), lambda x: 9.81 * x[1], None, Constraints(("bob",), (DistanceToPoint("bob"),))
+    )
+    return MechanicalDynamics(law, Rattle(substeps=4))
+
+
+def states(angle, rate):
+    """Of a pendulum of length one."""
+    x = jnp.stack([jnp.sin(angle), -jnp.cos(angle)], -1)
+    v = rate[:, None] * jnp.stack([jnp.cos(angle), jnp.sin(angle)], -1)
+    return State(Motion(x, v), {"constants": jnp.ones((len(angle), 1))})
+
+
+def angles(count, seed=0):
+    return jax.random.uniform(jax.random.key(seed), (count,), minval=-3.0, maxval=3.0)
+
+
+def rates(state):
+    x, v = state.coordinates
+    return x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]
+
+
+def recorded(pendulum, start, frames=12):
+    """Keypoints of motions, seen with white errors."""
+    x = jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames - 1).x)(start)
+    return x + ERROR * jax.random.normal(jax.random.key(5), x.shape)
+
+
+class Sighted(eqx.Module):
+    """A model but for its pictures."""
+
+    dynamics: MechanicalDynamics
+    start: FittedStart
+    beginning: Beginning | None
+    context: int = 2
+
+
+def measured(pendulum, x, prior):
+    data = Resident(jnp.zeros((*x.shape[:2], 1, 1, 3), jnp.uint8), jnp.zeros((len(x), 0)), DT, x)
+    return measure_beginning(Sighted(pendulum, FittedStart(jnp.ones(1)), prior), data)[0]
+
+
+def after_rest(pendulum, angle, frames):
+    """Motions that were at rest so many frames before."""
+    rest = states(angle, jnp.zeros_like(angle))
+    moved = jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames))(rest)
+    return State(Motion(moved.x[:, -1], moved.v[:, -1]), rest.parameters)
+
+
+def test_both_kinds_of_motion_are_told_better_than_by_either_rule(pendulum):
+    """Half of the motions begin after rest. Neither to believe what is seen nor to believe in rest is as good."""
+    known = Beginning(DT, jnp.array(0.01), jnp.array(SIGHTING), jnp.array(2.0))
+    true = jnp.concatenate(
+        [rates(after_rest(pendulum, angles(400), 1)), 2.0 * jax.random.normal(jax.random.key(1), (400,))]
+    )
+    angle = jnp.concatenate([angles(400), angles(400, 3)])
+    seen = states(angle, true + SIGHTING * jax.random.normal(jax.random.key(2), (800,)))
+    found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(seen)
+    np.testing.assert_allclose(jnp.sum(found.coordinates.x * found.coordinates.v, -1), 0, atol=1e-5)  # on the circle
+
+    def errors(rate):
+        return [float(jnp.sqrt(jnp.mean((rate - true)[half] ** 2))) for half in (slice(400), slice(400, None))]
+
+    begun, taken_up = errors(rates(found))
+    seen_begun, seen_taken_up = errors(rates(seen))
+    assert seen_begun == pytest.approx(SIGHTING, rel=0.1)
+    assert begun < 0.45 * seen_begun
+    assert taken_up < 1.25 * seen_taken_up
+    assert errors(-float(DT) * 9.81 * jnp.sin(angle))[1] > 20 * taken_up
+
+
+def test_a_fast_motion_stays_what_was_seen(pendulum):
+    known = Beginning(DT, jnp.array(0.01), jnp.array(SIGHTING), jnp.array(2.0))
+    fast = states(angles(20), jnp.full(20, 3.0))
+    found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(fast)
+    np.testing.assert_allclose(found.coordinates.v, fast.coordinates.v, atol=2e-3)
+
+
+def test_before_anything_is_measured_nothing_changes(pendulum):
+    slow = states(angles(20), jnp.full(20, 0.1))
+    found = jax.vmap(lambda s: Beginning.unknown()(pendulum, s, NOTHING))(slow)
+    np.testing.assert_array_equal(found.coordinates.v, slow.coordinates.v)
+
+
+@pytest.mark.parametrize("frames", [1, 2])
+def test_rest_is_found_in_the_recordings(pendulum, frames):
+    x = recorded(pendulum, after_rest(pendulum, angles(150), frames))
+    begun = measured(pendulum, x, Beginning.unknown()).beginning
+    assert float(begun.elapsed) == pytest.approx(frames * float(DT), rel=0.05)
+    assert float(begun.sighting) == pytest.approx(SIGHTING, rel=0.2)
+    assert float(begun.spread) < 0.6 * SIGHTING
+
+
+def test_recordings_taken_up_in_the_middle_teach_nothing(pendulum):
+    """Where first velocities are any, predictions begin with those that were seen."""
+    thrown = states(angles(150), 2.0 * jax.random.normal(jax.random.key(4), (150,)))
+    x = recorded(pendulum, thrown)
+    model = measured(pendulum, x, Beginning.unknown())
+    seen = jax.vmap(lambda x: model.start(pendulum, x[:2], DT, NOTHING))(x)
+    found = jax.vmap(lambda s: model.beginning(pendulum, s, NOTHING))(seen)
+    off = jnp.abs(rates(found) - rates(seen))
+    assert float(jnp.max(off)) < 0.2 * SIGHTING
+
+
+def test_a_model_without_a_prior_keeps_to_what_is_seen(pendulum):
+    assert measured(pendulum, recorded(pendulum, states(angles(2), jnp.zeros(2))), None).beginning is None
