@@ -13,7 +13,7 @@ from keycld.data import open_data, resident
 from keycld.training import finished, load_run, train
 from keycld.training.checkpoints import latest_checkpoint, load_leaves, save_checkpoint
 from keycld.training.presets import FastRecipe
-from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, share_constants
+from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, measure_beginning, share_constants
 from scenes import TINY
 
 
@@ -96,9 +96,9 @@ def test_the_control_preset_ends_with_a_fit_of_the_dynamics_alone(whole, tmp_pat
     assert_same((before.estimator, before.renderer), (after.estimator, after.renderer))
     _, cached = cache_keypoints(before, resident(open_data(data).train()))
     prepared, _ = share_constants(before, cached)
-    expected, _ = fit_dynamics(prepared, cached, trajectories=6)
+    expected, _ = measure_beginning(*fit_dynamics(prepared, cached, trajectories=6))
     assert_same(expected, after)
-    assert (run / "checkpoints" / "latest").read_text().startswith("04-fit") and finished(run)
+    assert (run / "checkpoints" / "latest").read_text().startswith("05-fit") and finished(run)
 
 
 def test_two_processes_do_not_train_in_one_folder(whole, tmp_path):

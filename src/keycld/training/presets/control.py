@@ -5,7 +5,13 @@ import functools
 
 from keycld.training.presets.base import Scene
 from keycld.training.presets.fast import FastRecipe
-from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, in_turn, share_constants
+from keycld.training.presets.prepare import (
+    cache_keypoints,
+    fit_dynamics,
+    in_turn,
+    measure_beginning,
+    share_constants,
+)
 from keycld.training.stages import Stage
 
 
@@ -28,10 +34,8 @@ class ControlRecipe(FastRecipe):
         self._check_counts("last_fit")
 
     def stages(self, scene: Scene, kind: str = "keycld") -> tuple[Stage, ...]:
-        """Those of `fast`, and before the last one without steps that fits."""
-        *stages, begin = super().stages(scene, kind)
+        """Those of `fast`, and one without steps that fits."""
+        stages = super().stages(scene, kind)
         last = functools.partial(fit_dynamics, trajectories=self.last_fit)
-        fit = dataclasses.replace(
-            begin, name="fit", prepare=in_turn(cache_keypoints, share_constants, last), validate=False
-        )
-        return *stages, fit, begin
+        prepare = in_turn(cache_keypoints, share_constants, last, measure_beginning)
+        return *stages, dataclasses.replace(stages[-1], name="fit", prepare=prepare)

@@ -10,7 +10,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import ConstrainedLagrangian, fit_motions, joining_velocity
+from keycld.mechanics import ConstrainedLagrangian, Motion, State, fit_motions
 from keycld.models import Beginning, shared_constants
 
 # Compiled once for all stages that fit.
@@ -79,22 +79,20 @@ def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tupl
     return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), data
 
 
-def measure_beginning(model: Any, data: Resident, *, trajectories: int = 150, frames: int = 24) -> tuple[Any, Resident]:
+def measure_beginning(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
     """Puts into the model what training recordings begin with, and how well its sightings tell that.
 
-    About so many recordings: the first velocity as `model.start` sees it, as the motion has it that passes best through
-    so many frames, and as it would be τ after rest. Three differences of three estimates tell the variance of each.
-    Medians, so that some recordings may begin otherwise, and some motions be lost. From the cached keypoints; a model
-    without a prior is left as it is.
+    Of about so many recordings: τ is the time after rest that predicts them best, σ_s² / (σ_s² + σ_b²) the part of the
+    way from the velocities seen to those τ after rest that does. The sum is the median of what lies between, so that
+    some recordings may begin otherwise. From the cached keypoints; a model without a prior is left as it is.
     """
     if model.beginning is None:
         return model, data
     assert data.keypoints is not None
-    some, last = slice(None, None, max(1, len(data.u) // trajectories)), min(frames, data.image.shape[1])
-    seen, u, nothing = data.keypoints[some], data.u[some], jax.tree.map(lambda _: False, model.dynamics)
-    horizons = tuple(sorted({max(2, last // 2), last}))
-    fitted = _fit(model.dynamics, nothing, seen, u, data.dt, horizons=horizons, constants=shared_constants(model))
-    return eqx.tree_at(lambda m: m.beginning, model, _beginning(model, seen, fitted.paths, u, data.dt)), data
+    some = slice(None, None, max(1, len(data.u) // trajectories))
+    return eqx.tree_at(
+        lambda m: m.beginning, model, _beginning(model, data.keypoints[some], data.u[some], data.dt)
+    ), data
 
 
 def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
@@ -114,28 +112,31 @@ def _observe(model: Any, image: jax.Array) -> jax.Array:
 
 
 @eqx.filter_jit
-def _beginning(model: Any, seen: jax.Array, paths: jax.Array, u: jax.Array, dt: jax.Array) -> Beginning:
+def _beginning(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *, scale: float = 0.03) -> Beginning:
     dynamics, law = model.dynamics, model.dynamics.law
     freedom = seen.shape[-1] - law.count
+    starts = jax.vmap(lambda x, u: model.start(dynamics, x[: model.context], dt, u))(seen, u)
+    x, sighted = starts.coordinates
+    first = u if u.ndim == 2 else u[:, 0]
+    acceleration = jax.vmap(lambda x, u: law.acceleration(x, jnp.zeros_like(x), u))(x, first)
 
-    def velocities(x: jax.Array, path: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        first = u if u.ndim == 1 else u[0]
-        sighted = model.start(dynamics, x[: model.context], dt, u).coordinates.v
-        held = {"constants": law.constraint(path[0])}
-        fitted = joining_velocity(dynamics, path[0], path[1], held, first, dt)
-        return sighted, fitted, law.acceleration(path[0], jnp.zeros_like(fitted), first)
+    def miss(v: jax.Array) -> jax.Array:
+        """How far predictions with these first velocities are off; lost ones count little."""
+        begun = State(Motion(x, v), starts.parameters)
+        paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, seen.shape[1] - 1).x)(begun, u)
+        far = jnp.sum((paths - seen) ** 2, axis=-1)
+        return jnp.nan_to_num(jnp.mean(jnp.sqrt(1 + far / scale**2)), nan=jnp.inf)
 
-    def variance(errors: jax.Array) -> jax.Array:
-        """Of a component, from the median of the squared lengths: that of χ² with n degrees is near n (1 − 2/9n)³."""
-        return jnp.median(jnp.sum(errors**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3)
+    def best(choices: jax.Array, velocities: Any) -> jax.Array:
+        return choices[jnp.argmin(jax.lax.map(lambda choice: miss(velocities(choice)), choices))]
 
-    sighted, fitted, acceleration = jax.vmap(velocities)(seen, paths, u)
-    elapsed = jnp.median(jnp.sum(fitted * acceleration, axis=-1) / jnp.sum(acceleration**2, axis=-1))
-    rest = elapsed * acceleration
-    whole, spread = variance(sighted - rest), variance(fitted - rest)
-    spread = jnp.clip((whole + spread - variance(sighted - fitted)) / 2, 1e-4 * whole, whole)
+    elapsed = best(dt * jnp.linspace(0.0, 3.0, 31), lambda elapsed: elapsed * acceleration)
+    off = sighted - elapsed * acceleration
+    part = best(jnp.linspace(0.0, 1.0, 21), lambda part: sighted - part * off)
+    # The median of χ² with n degrees of freedom is near n (1 − 2/9n)³.
+    variance = jnp.median(jnp.sum(off**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3) + 1e-12
     speed = jnp.sqrt(jnp.mean(jnp.sum(jnp.diff(seen, axis=1) ** 2, axis=-1)) / freedom) / dt
-    return Beginning(elapsed, jnp.sqrt(spread), jnp.sqrt(whole - spread), speed)
+    return Beginning(elapsed, jnp.sqrt((1 - part) * variance), jnp.sqrt(part * variance), speed)
 
 
 def _mean_and_deviation(data: Resident) -> tuple[jax.Array, jax.Array]:
