@@ -33,8 +33,7 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Adds the keypoints that the model's estimator sees in every training frame."""
     count, length = data.image.shape[:2]
-    observe = eqx.filter_jit(_observe)
-    seen = [observe(model, data.image[i]) for i in range(count)]
+    seen = [_observe(model, data.image[i]) for i in range(count)]
     return model, eqx.tree_at(
         lambda d: d.keypoints, data, jnp.stack(seen).reshape(count, length, -1), is_leaf=lambda x: x is None
     )
@@ -106,6 +105,8 @@ def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]
     return prepare
 
 
+# Compiled once for all stages, too.
+@eqx.filter_jit
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
     return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
