@@ -7,16 +7,7 @@ import numpy as np
 import pytest
 
 from keycld.data import Resident
-from keycld.mechanics import (
-    ConstrainedLagrangian,
-    Constraints,
-    DistanceToPoint,
-    MechanicalDynamics,
-    Motion,
-    PointMasses,
-    Rattle,
-    State,
-)
+from keycld.mechanics import MechanicalDynamics, Motion, State
 from keycld.models import Beginning, FittedStart
 from keycld.training.presets.prepare import measure_beginning
 
@@ -24,14 +15,6 @@ DT = jnp.array(0.05)
 NOTHING = jnp.zeros(0)
 ERROR = 0.002  # of a sighting; √2 ERROR / DT = 0.057 of a velocity
 SIGHTING = np.sqrt(2) * ERROR / float(DT)
-
-
-@pytest.fixture(scope="module")
-def pendulum():
-    law = ConstrainedLagrangian(
-        PointMasses.ones(1), lambda x: 9.81 * x[1], None, Constraints(("bob",), (DistanceToPoint("bob"),))
-    )
-    return MechanicalDynamics(law, Rattle(substeps=4))
 
 
 def states(angle, rate):

@@ -6,28 +6,11 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.mechanics import (
-    ConstrainedLagrangian,
-    Constraints,
-    DistanceToPoint,
-    MechanicalDynamics,
-    Motion,
-    PointMasses,
-    Rattle,
-    State,
-)
+from keycld.mechanics import Motion, State
 from keycld.models import CentralStart, DifferenceStart, FittedStart
 
 DT = jnp.array(0.05)
 NOTHING = jnp.zeros(0)
-
-
-@pytest.fixture(scope="module")
-def pendulum():
-    law = ConstrainedLagrangian(
-        PointMasses.ones(1), lambda x: 9.81 * x[1], None, Constraints(("bob",), (DistanceToPoint("bob"),))
-    )
-    return MechanicalDynamics(law, Rattle(substeps=4))
 
 
 @pytest.fixture(scope="module")
