@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from keycld.data import Resident
-from keycld.mechanics import MechanicalDynamics, Motion, State
+from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State
 from keycld.models import Beginning, FittedStart
 from keycld.training.presets.prepare import measure_beginning
 
@@ -117,3 +117,16 @@ def test_recordings_taken_up_in_the_middle_teach_nothing(pendulum):
 
 def test_a_model_without_a_prior_keeps_to_what_is_seen(pendulum):
     assert measured(pendulum, recorded(pendulum, states(angles(2), jnp.zeros(2))), None).beginning is None
+
+
+def test_constraints_that_repeat_each_other_leave_numbers(pendulum):
+    """Two constants for one rod: by their count nothing could move."""
+    rod = DistanceToPoint("bob")
+    twice = eqx.tree_at(lambda d: d.law.constraint_function, pendulum, Constraints(("bob",), (rod, rod)))
+    x = recorded(pendulum, after_rest(pendulum, angles(30), 1))
+    data = Resident(jnp.zeros((*x.shape[:2], 1, 1, 3), jnp.uint8), jnp.zeros((len(x), 0)), DT, x)
+    model = measure_beginning(Sighted(twice, FittedStart(jnp.ones(2)), Beginning.unknown()), data)[0]
+    assert twice.law.freedom == 1
+    assert float(model.beginning.elapsed) == pytest.approx(float(DT), rel=0.2)
+    start = model.beginning(twice, model.start(twice, x[0, :2], DT, NOTHING), NOTHING)
+    assert bool(jnp.all(jnp.isfinite(start.coordinates.v)))

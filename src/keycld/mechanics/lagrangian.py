@@ -107,6 +107,11 @@ class ConstrainedLagrangian(AbstractLagrangian):
         return self.constraint_function.count
 
     @property
+    def freedom(self) -> int:
+        """Degrees of freedom of constraints that do not repeat each other; at least one."""
+        return max(1, 2 * self.masses.shape[0] - self.count)
+
+    @property
     def dissipative(self) -> bool:
         """Whether velocities cause forces."""
         return self.damping is not None

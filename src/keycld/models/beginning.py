@@ -47,12 +47,11 @@ class Beginning(eqx.Module):
         """The state with the velocity that is likelier; `u` acts at its frame."""
         law, (x, v) = dynamics.law, state.coordinates
         assert isinstance(law, ConstrainedLagrangian)
-        freedom = x.size - law.count
         off = v - self.elapsed * law.acceleration(x, jnp.zeros_like(v), u)
         variance = self.sighting**2 + self.spread**2
         far = (off @ off) / variance
-        odds = (v @ v) / self.speed**2 + freedom * jnp.log(self.speed**2 / variance)
-        odds = (odds - (_TAIL + freedom) * jnp.log1p(far / _TAIL)) / 2
-        error = (_TAIL + far) / (_TAIL + freedom) * self.sighting**2
+        odds = (v @ v) / self.speed**2 + law.freedom * jnp.log(self.speed**2 / variance)
+        odds = (odds - (_TAIL + law.freedom) * jnp.log1p(far / _TAIL)) / 2
+        error = (_TAIL + far) / (_TAIL + law.freedom) * self.sighting**2
         pull = jax.nn.sigmoid(odds) * error / (error + self.spread**2)
         return State(Motion(x, v - pull * off), state.parameters)

@@ -115,7 +115,7 @@ def _observe(model: Any, image: jax.Array) -> jax.Array:
 @eqx.filter_jit
 def _beginning(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *, scale: float = 0.03) -> Beginning:
     dynamics, law = model.dynamics, model.dynamics.law
-    freedom = seen.shape[-1] - law.count
+    freedom = law.freedom
     starts = jax.vmap(lambda x, u: model.start(dynamics, x[: model.context], dt, u))(seen, u)
     x, sighted = starts.coordinates
     first = u if u.ndim == 2 else u[:, 0]
@@ -125,8 +125,8 @@ def _beginning(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *, scal
         """How far predictions with these first velocities are off; lost ones count little."""
         begun = State(Motion(x, v), starts.parameters)
         paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, seen.shape[1] - 1).x)(begun, u)
-        far = jnp.sum((paths - seen) ** 2, axis=-1)
-        return jnp.nan_to_num(jnp.mean(jnp.sqrt(1 + far / scale**2)), nan=jnp.inf)
+        far = jnp.nan_to_num(jnp.sum((paths - seen) ** 2, axis=-1), nan=1.0, posinf=1.0)
+        return jnp.mean(jnp.sqrt(1 + far / scale**2))
 
     def best(choices: jax.Array, velocities: Any) -> jax.Array:
         return choices[jnp.argmin(jax.lax.map(lambda choice: miss(velocities(choice)), choices))]
@@ -135,7 +135,7 @@ def _beginning(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *, scal
     off = sighted - elapsed * acceleration
     part = best(jnp.linspace(0.0, 1.0, 21), lambda part: sighted - part * off)
     # The median of χ² with n degrees of freedom is near n (1 − 2/9n)³.
-    variance = jnp.median(jnp.sum(off**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3) + 1e-12
+    variance = jnp.nanmedian(jnp.sum(off**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3) + 1e-12
     speed = jnp.sqrt(jnp.mean(jnp.sum(jnp.diff(seen, axis=1) ** 2, axis=-1)) / freedom) / dt
     return Beginning(elapsed, jnp.sqrt((1 - part) * variance), jnp.sqrt(part * variance), speed)
 
