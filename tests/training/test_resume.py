@@ -48,7 +48,7 @@ def cut(root, stage: int, done: bool):
 @pytest.mark.parametrize(
     ("done", "last", "logged"), [(False, "00-vision-000006", [4, 6]), (True, "01-dynamics-000006", [4, 6, 8, 10, 12])]
 )
-def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, done, last, logged):
+def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, capsys, done, last, logged):
     """To the end of that stage, or of the next one, whose checkpoint the uninterrupted run has kept."""
     root, data, _ = whole
     stages, count = FastRecipe.stages, 1 + done
@@ -58,6 +58,8 @@ def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, done, 
     (expected,) = load_leaves(root / "whole" / "checkpoints" / last, (resumed,))
     assert_same(expected, resumed)
     assert steps(run) == logged
+    # Six steps teach nobody to see, and who waits is told at the end of that stage.
+    assert ("the keypoints have not found their parts" in capsys.readouterr().err) == (not done)
 
 
 def test_a_finished_run_loads_without_its_data(whole):

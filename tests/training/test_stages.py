@@ -1,3 +1,5 @@
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,6 +10,7 @@ import pytest
 from keycld._errors import KeycldError
 from keycld.data import RandomFrames, Resident, StartGroups, WholeTrajectories
 from keycld.training import Stage, make_recipe
+from keycld.training.presets.prepare import tell_unseen
 from keycld.training.stages import forgetful, warmup_cosine
 from keycld.training.step import begin, diagnose, make_step
 
@@ -188,3 +191,11 @@ def test_settings_are_checked():
         make_recipe("fast", {"vision_steps": "many"})
     with pytest.raises(KeycldError, match="unknown preset 'fsat'.*did you mean 'fast'"):
         make_recipe("fsat", {})
+
+
+def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_warns():
+    seeing = SimpleNamespace(standardise=SimpleNamespace(deviation=np.float32(0.1)))
+    model = SimpleNamespace(estimator=seeing, renderer=SimpleNamespace(background=np.zeros((8, 8, 3))))
+    whole = 0.01 * 8 * 8 * 3
+    assert tell_unseen(model, {"reconstruction": 0.1 * whole}) is None
+    assert "0.27 of the mean picture's error" in str(tell_unseen(model, {"reconstruction": 0.27 * whole}))

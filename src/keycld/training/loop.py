@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -129,6 +130,7 @@ def train_stages(
         bar = Bar(stage.name, stage.steps, start=done)
         saved, pending = time.monotonic(), []
         logged_at, logged_frames = time.monotonic(), clock.frames
+        values: dict[str, float] = {}
         while done < stage.steps:
             chunk = min(steps_per_dispatch, stage.steps - done)
             current, terms = compiled(chunk)((rest, data), current)
@@ -150,6 +152,8 @@ def train_stages(
                     save(number, current, eqx.combine(current.parameters, rest), done)
                     saved = time.monotonic()
         model = eqx.combine(current.parameters, rest)
+        if stage.remark is not None and values and (text := stage.remark(model, values)):
+            print(f"warning      {text}", file=sys.stderr, flush=True)
         if stage.validate:
             scores = validate(model)
             clock.tick()

@@ -34,6 +34,8 @@ class Stage:
       keypoints, a least-squares start).
     - `candidates`, `trial`: in a first stage, how many random starts are tried for that many steps; the one with the
       lowest loss goes on from there.
+    - `remark`: what to tell the person who waits when the stage has ended, from the model and the last logged terms;
+      None where all is well.
     - `validate`: score the validation set when the stage has ended.
     """
 
@@ -48,6 +50,7 @@ class Stage:
     prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
     candidates: int = 1
     trial: int = 0
+    remark: Callable[[Any, Mapping[str, float]], str | None] | None = None
     validate: bool = False
 
     def groups(self, model: eqx.Module) -> Any:

@@ -31,6 +31,7 @@ from keycld.training.presets.prepare import (
     measure_beginning,
     measure_statistics,
     share_constants,
+    tell_unseen,
 )
 from keycld.training.stages import Stage, muon, warmup_cosine
 from keycld.vision import (
@@ -183,6 +184,7 @@ class FastRecipe(AbstractRecipe):
             prepare=measure_statistics,
             candidates=self.candidates,
             trial=self.trial,
+            remark=tell_unseen,
         )
         # Affine energies and inputs first: with noisy keypoints the perceptrons would learn the noise.
         frozen = {} if kind == "node2" else {f"dynamics.law.{part}.perceptron": 0.0 for part in _AFFINE}

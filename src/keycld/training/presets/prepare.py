@@ -1,6 +1,6 @@
-"""What a stage does to model and data before its first step."""
+"""What a stage does to model and data before its first step, and what it says after its last."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import equinox as eqx
@@ -28,6 +28,22 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
         (mean, deviation, mean),
     )
     return model, data
+
+
+def tell_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
+    """A warning where the vision stage has not learned to see: much of what moves is missing from its drawings.
+
+    Measured: stages that went well left 0.05 to 0.08 of the mean picture's error, those that failed 0.27 to 1.0, and
+    nothing later brings lost keypoints back.
+    """
+    whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
+    share = terms["reconstruction"] / whole
+    if share < 0.2:
+        return None
+    return (
+        f"the keypoints have not found their parts: {share:.2f} of the mean picture's error is left, where less than 0.1 "
+        "is usual. Training goes on, but predictions will be poor. Try another --seed or more --set vision_steps."
+    )
 
 
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
