@@ -73,6 +73,7 @@ def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
 def test_eval_predict_and_report(here, place):
     answer = keycld("eval", "whole", folder=place)
     assert answer.returncode == 0, answer.stderr
+    assert "test@12" in answer.stderr and "72/72" in answer.stderr
     assert "mean image" in answer.stdout  # a trivial baseline stands beside every result
     scores = [json.loads(p.read_text()) for p in (place / "whole" / "evaluation").glob("*.json")]
     assert any(0 <= s["vpt"]["1"]["mean"] <= 1 for s in scores if "vpt" in s)
@@ -88,6 +89,7 @@ def test_eval_predict_and_report(here, place):
 
     code, message = here("predict", "whole", "--data", "mine/test.h5", "--out", "predictions.h5", folder=place)
     assert code == 0, message
+    assert "predict" in message and "72/72" in message and "left" in message
     with h5py.File(place / "predictions.h5") as file:
         assert file["image"].shape == (6, 12, 16, 16, 3) and file["image"].dtype == np.float32
         assert file["keypoints"].shape == (6, 12, 1, 2)

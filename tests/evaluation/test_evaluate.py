@@ -75,7 +75,7 @@ def test_the_true_law_predicts_to_the_end_and_beats_every_baseline(data, shared,
     assert scores["drift"]["energy"]["worst"] < 0.02
     assert scores["drift"]["constraint"]["worst"] < 1e-5
     assert scores["masses"] == [1.0] and scores["keypoints"] == ["disc"]
-    assert done[-1] == (7, 7)
+    assert done[-1] == (7 * 20, 7 * 20)
 
 
 def test_arrays_for_the_report(data, shared, known):

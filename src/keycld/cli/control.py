@@ -1,6 +1,5 @@
 """`keycld control`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -52,7 +51,7 @@ def control(
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
     from keycld.systems import get
-    from keycld.training import load_run, run_folder
+    from keycld.training import Counted, load_run, run_folder
 
     folder = run_folder(run)
     model, config = load_run(folder)
@@ -76,7 +75,7 @@ def control(
         threshold_of(model, config),
         picture,
         assignment,
-        progress=Shown(round(seconds / config.dt)),
+        progress=Counted("control"),
         workers=workers,
     )
     target, name = out or folder, _name(goal, assignment)
@@ -142,19 +141,3 @@ def summary_of(scores: dict[str, Any]) -> str:
             f"{100 * passivity['largest_rise_median']:.1f} % of the flight's largest (median of starts)"
         )
     return "\n".join(lines)
-
-
-class Shown:
-    """Progress of the flight, as the training shows it."""
-
-    def __init__(self, total: int) -> None:
-        import time
-
-        from keycld.training import Bar
-
-        self._clock, self._bar = time.monotonic, Bar("control", total, stream=sys.stderr)
-        self._began = self._clock()
-
-    def __call__(self, done: int, total: int) -> None:
-        """Frames flown so far."""
-        self._bar.show(done, done / max(self._clock() - self._began, 1e-9), "")

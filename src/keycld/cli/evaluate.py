@@ -32,7 +32,7 @@ def evaluate(
     from keycld.data import open_data
     from keycld.evaluation import evaluate as score
     from keycld.evaluation import evaluate_sweeps, protocol_named, protocols_for, references, save_evaluation, summary
-    from keycld.training import finished, load_run, pretrained, run_folder
+    from keycld.training import Counted, finished, load_run, pretrained, run_folder
 
     folder, asked = run_folder(run), data
     model, config = load_run(folder)
@@ -53,7 +53,7 @@ def evaluate(
     own = asked in (None, config.data) or _holds(dataset, config.data_hash)
     suffix = "" if own else f"-{dataset.folder.resolve().name}"
     for protocol in chosen:
-        result = score(model, dataset, protocol, shared=shared)
+        result = score(model, dataset, protocol, shared=shared, progress=Counted(protocol.name))
         save_evaluation(folder, protocol.name + suffix, result)
         print(summary(result.scores), flush=True)
     if own and "sweeps" in dataset.splits:

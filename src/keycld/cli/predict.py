@@ -17,8 +17,8 @@ def predict(
         out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
     """
     from keycld.evaluation import predict_file
-    from keycld.training import load_model
+    from keycld.training import Counted, load_model
 
     model, _ = load_model(run)
-    predict_file(model, data, out)
+    predict_file(model, data, out, progress=Counted("predict"))
     print(f"predictions: {out}")

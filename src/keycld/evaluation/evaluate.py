@@ -52,7 +52,7 @@ def evaluate(
         data: where the split, the validation set (ε, probe) and the training set (baselines) are.
         protocol: what is given and scored.
         shared: `references(data)`, to read them once for several protocols.
-        progress: called with the number of trajectories done and their total.
+        progress: called with the number of frames predicted and their total.
 
     Returns:
         `scores`: `vpt` and `baselines` (each with one summary a threshold factor), `mse`, `epsilon`,

@@ -125,7 +125,7 @@ def predict(
         yield slice(done, done + count), jax.tree.map(lambda value, n=count: np.asarray(value)[:n], found)
         done += count
         if progress is not None:
-            progress(done, len(frames))
+            progress(done * length, len(frames) * length)
 
 
 @eqx.filter_jit

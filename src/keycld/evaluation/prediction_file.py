@@ -35,7 +35,7 @@ def predict_file(
         data_file: in the format of a data set, with pictures.
         out: replaced if it exists.
         given: frames to give; as many as the model needs by default.
-        progress: called with the number of trajectories done and their total.
+        progress: called with the number of frames predicted and their total.
 
     Raises:
         KeycldError: the file is not valid or has no pictures or fewer frames than the model needs; `out`
@@ -64,7 +64,7 @@ def predict_file(
                     if value is not None:
                         _dataset(target, name, count, value)[at] = value
                 if progress is not None:
-                    progress(at.stop, count)
+                    progress(at.stop * length, count * length)
     return Path(out)
 
 

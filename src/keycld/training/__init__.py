@@ -12,6 +12,7 @@ from keycld.training.pretrained import pack as pack
 from keycld.training.pretrained import pretrained as pretrained
 from keycld.training.pretrained import run_folder as run_folder
 from keycld.training.progress import Bar as Bar
+from keycld.training.progress import Counted as Counted
 from keycld.training.run_folder import RunConfig as RunConfig
 from keycld.training.run_folder import environment as environment
 from keycld.training.run_folder import read_config as read_config
@@ -26,6 +27,7 @@ __all__ = [
     "PRESETS",
     "AbstractRecipe",
     "Bar",
+    "Counted",
     "FastRecipe",
     "JournalRecipe",
     "PaperRecipe",

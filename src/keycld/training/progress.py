@@ -11,13 +11,13 @@ class Bar:
     `every` seconds and at the end.
     """
 
-    def __init__(self, name: str, total: int, *, start: int = 0, every: float = 15.0, stream=None):
-        """`start`: steps already done before this process began."""
+    def __init__(self, name: str, total: int, *, start: int = 0, every: float = 15.0, begin=None, stream=None):
+        """`start`: steps already done before this process began; `begin`: when it did, now unless told."""
         self._name, self._total, self._first = name, total, start
         self._stream = sys.stderr if stream is None else stream
         self._live = self._stream.isatty()
         self._pause = 0.1 if self._live else every
-        self._begin = self._shown = time.monotonic()
+        self._begin = self._shown = time.monotonic() if begin is None else begin
 
     def show(self, done: int, unit_rate: float, text: str) -> None:
         """`done` steps of the total are done, at `unit_rate` frames a second."""
@@ -36,6 +36,20 @@ class Bar:
             print("\r\x1b[2K" + line, end="\n" if last else "", file=self._stream, flush=True)
         else:
             print(line, file=self._stream, flush=True)
+
+
+class Counted:
+    """A `progress(done, total)` callback for frames that shows a bar; its clock starts before anything compiles."""
+
+    def __init__(self, name: str):
+        self._name, self._begin = name, time.monotonic()
+        self._bar: Bar | None = None
+
+    def __call__(self, done: int, total: int) -> None:
+        """So many frames of the total are done."""
+        if self._bar is None:
+            self._bar = Bar(self._name, total, begin=self._begin)
+        self._bar.show(done, done / max(time.monotonic() - self._begin, 1e-9), "")
 
 
 def _clock(seconds: float) -> str:
