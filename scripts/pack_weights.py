@@ -4,6 +4,7 @@ import json
 import sys
 from pathlib import Path
 
+from keycld.data import open_data
 from keycld.training import pack
 
 CARD = """# KeyCLD, {system}
@@ -14,7 +15,7 @@ Keypoints, masses, potential energy and input matrix of the {system}, learned fr
 |---|---|
 | data | `keycld data make {system}`: 450 recordings of 50 frames, 64×64, MuJoCo, llvmpipe; protocol {protocol} |
 | command | `keycld train {system} --preset {preset} --seed {seed}` |
-| seed | {seed}; the first of those in `docs/results.md`, not the best |
+| seed | {seed}; `docs/results.md` has others |
 | commit | {commit} |
 | training | {seconds:.0f} s wall-clock, {cpu:.0f} CPU seconds, {frames} frames; {processor}, {cores} cores |
 | precision | networks and pictures float16, mechanics float32 |
@@ -29,9 +30,10 @@ nothing was chosen on:
 **Use.** `keycld predict {system} --data FILE.h5 --out OUT.h5`, `keycld report {system}`, or in Python
 `keycld.load("{system}")`.
 
-**Limits.** It knows this camera, light and background, and motions like those of the data:
-{limit} Masses, energies and inputs are known up to one common factor, potential energy
-up to a constant. Far beyond the scored horizon a prediction keeps its energy but not its phase.
+**Limits.** A motion is taken to have just begun, as in the data, where what is seen allows it. It knows this camera,
+light and background, and motions like those of the data: {limit}
+Masses, energies and inputs are known up to one common factor, potential energy up to a constant. Far beyond the
+scored horizon a prediction keeps its energy but not its phase.
 """
 LIMITS = {
     "pendulum": "up to about 28 rad/s, |u| ≤ 3.",
@@ -53,7 +55,7 @@ def card(run: Path) -> str:
     ]
     return CARD.format(
         system=config["system"],
-        protocol="keycld-2022",
+        protocol=open_data(config["data"]).attributes["protocol"],
         preset=config["preset"],
         seed=config["seed"],
         commit=environment["commit"],

@@ -22,13 +22,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from keycld._files import aside_of
 from keycld.benchmarks.results import read_json, write_json
-from keycld.cli.control import Shown, summary_of, threshold_of
+from keycld.cli.control import summary_of, threshold_of
 from keycld.control import Assignment, Disturbance, Imagination, Plant, goal_of, swing_up
 from keycld.control.outcome import HOLD
 from keycld.control.swing_up import upright_picture
 from keycld.systems import get
-from keycld.training import environment, load_run, run_folder
+from keycld.training import Counted, environment, load_run, run_folder
 
 # The inputs of `under`: too weak to lift, or one for two degrees of freedom.
 UNDER = {
@@ -62,7 +63,7 @@ EXPERIMENTS = (*assignments("pendulum", 0), "imagination")
 
 def flown(model, system, epsilon, assignment, workers):
     """The scores of one experiment, with what belongs to single starts condensed."""
-    shown = Shown(round(assignment.seconds / system.dt))
+    shown = Counted("control")
     result = swing_up(model, system, epsilon, None, assignment, progress=shown, workers=workers)
     print(summary_of(result.scores), flush=True)
     scores = {name: value for name, value in result.scores.items() if name not in dataclasses.asdict(assignment)}
@@ -135,8 +136,9 @@ def imagination(model, system, epsilon, seed):
 
 
 def weights_hash(model):
-    """Of the weights, so that results of two models are never mixed."""
-    leaves = jax.tree.leaves(eqx.filter(model, eqx.is_array))
+    """Of the weights that control uses, so that results of two models are never mixed."""
+    used = eqx.tree_at(lambda m: m.beginning, model, None, is_leaf=lambda x: x is None)
+    leaves = jax.tree.leaves(eqx.filter(used, eqx.is_array))
     return hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in leaves)).hexdigest()[:16]
 
 
@@ -169,7 +171,8 @@ def main():
     path, weights = options.out / f"{options.name}.json", weights_hash(model)
     kept = read_json(path) or {}
     if kept.get("weights") not in (None, weights):
-        print(f"{path} is of other weights and is begun anew", file=sys.stderr)
+        aside = path.rename(aside_of(path, kept["weights"]))
+        print(f"{path} was of other weights: moved to {aside}, begun anew", file=sys.stderr)
         kept = {}
     experiments = kept.get("experiments", {})
     planned = assignments(config.system, options.seed)

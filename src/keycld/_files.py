@@ -2,6 +2,7 @@
 
 import contextlib
 import errno
+import itertools
 import os
 import shutil
 from collections.abc import Iterator
@@ -42,6 +43,12 @@ def write_text(path: Path, text: str) -> None:
     """
     with replacing(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def aside_of(path: Path, mark: str) -> Path:
+    """A free name beside `path` for what is there but of another version: NAME.MARK, NAME.MARK.1 and so on."""
+    names = (f"{path.name}.{mark or 'unknown'}{'' if n == 0 else f'.{n}'}" for n in itertools.count())
+    return next(path.with_name(name) for name in names if not path.with_name(name).exists())
 
 
 def make_folder(path: Path) -> None:

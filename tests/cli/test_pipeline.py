@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from keycld.cli.main import main
+from keycld.training import run_folder
 from scenes import TINY, write_data
 
 SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in TINY.items()]
@@ -99,6 +100,20 @@ def test_eval_predict_and_report(here, place):
     assert code == 0, message
     page = (place / "whole" / "report.html").read_text()
     assert "</html>" in page and 'src="http' not in page
+
+
+def test_a_flight_of_a_packaged_model_does_not_stand_for_its_evaluation(here, tmp_path, monkeypatch):
+    """What flies leaves a result of its own; the page shall have predictions all the same."""
+    done = []
+    monkeypatch.setattr("keycld.cli.evaluate.evaluate", done.append)
+    monkeypatch.setattr("keycld.reports.write_report", lambda folder: folder / "report.html")
+    monkeypatch.chdir(tmp_path)
+    results = run_folder("pendulum") / "evaluation"
+    results.mkdir()
+    (results / "control-upright.json").write_text("{}")
+    assert here("report", "pendulum", folder=tmp_path)[0] == 0 and done == ["pendulum"]
+    (results / "sweeps.json").write_text("{}")
+    assert here("report", "pendulum", folder=tmp_path)[0] == 0 and done == ["pendulum"]
 
 
 def test_predictions_use_only_the_given_frames_and_inputs(here, place):

@@ -50,5 +50,6 @@ def test_its_run_folder_is_made_where_it_is_missing(tmp_path, monkeypatch):
     position.write_text(json.dumps(read_position(position.parent) | {"weights": "of another version"}))
     (folder / "report.html").write_text("of another version")
     assert run_folder("pendulum") == folder and not (folder / "report.html").exists()
+    assert (folder.with_name("pendulum-pretrained.of anoth") / "report.html").read_text() == "of another version"
     with pytest.raises(KeycldError, match="did you mean 'pendulum'"):
         run_folder("pendulm")

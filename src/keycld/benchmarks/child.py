@@ -4,7 +4,6 @@
 """
 
 import contextlib
-import itertools
 import os
 import sys
 import threading
@@ -13,6 +12,7 @@ import traceback
 from collections.abc import Iterator
 from pathlib import Path
 
+from keycld._files import aside_of
 from keycld._lock import locked
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import condense, read_json, record_failure, write_json
@@ -94,8 +94,7 @@ def _set_aside(run: Path, old: str) -> None:
     entries = [entry for entry in run.iterdir() if entry.name not in (LOCK, LOG)]
     if not entries:
         return
-    names = (f"{run.name}.{old or 'unknown'}{'' if n == 0 else f'.{n}'}" for n in itertools.count())
-    aside = next(run.with_name(name) for name in names if not run.with_name(name).exists())
+    aside = aside_of(run, old)
     aside.mkdir()
     for entry in entries:
         entry.rename(aside / entry.name)

@@ -12,6 +12,7 @@ from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld.benchmarks.experiment import Experiment, Place, digest
 from keycld.evaluation import Evaluation, load_evaluation
+from keycld.training import environment
 
 _CURVE_POINTS = 50
 
@@ -30,7 +31,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
     """
     run, data = place.run(experiment), place.data(experiment)
     config = json.loads((run / "config.json").read_text())
-    environment = json.loads((run / "environment.json").read_text())
+    begun = json.loads((run / "environment.json").read_text())
     last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
     statistics = json.loads((data / "statistics.json").read_text())
     stored = {protocol.name: load_evaluation(run, protocol.name) for protocol in experiment.protocols}
@@ -44,8 +45,10 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         "preset": experiment.preset,
         "seed": experiment.seed,
         "settings": config["settings"],
-        "commit": environment["commit"],
-        "machine": {name: environment[name] for name in ("processor", "cores", "devices", "packages", "python")},
+        # Of the code that began the training, and of that which ended it and scored.
+        "commit": begun["commit"],
+        "commit_scored": environment()["commit"],
+        "machine": {name: begun[name] for name in ("processor", "cores", "devices", "packages", "python")},
         "config_hash": experiment.hash(),
         "data_hash": digest({name: split["sha256"] for name, split in statistics["splits"].items()}),
         "data_recipe_hash": digest(statistics["recipe"]),

@@ -73,8 +73,8 @@ class Suite:
         needed, least = found[0].recipe().context, min(protocol.given for protocol in self.protocols)
         if needed > least:
             raise KeycldError(
-                f"preset '{preset}' predicts from {needed} frames, but the suite {self.name} gives {least}: "
-                "take the suite keycld-2024."
+                f"preset '{preset}'{' with --set given' if 'given' in (settings or {}) else ''} predicts from {needed} "
+                f"frames, but the suite {self.name} gives {least}: take the suite keycld-2024."
             )
         fitting = tuple(experiment for experiment in found if only in experiment.name)
         if not fitting:

@@ -17,7 +17,8 @@ def report(run: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="RUN"
     from keycld.training import run_folder
 
     folder = run_folder(run)
-    if folder != Path(run) and not (folder / "evaluation").exists():
+    # The last thing that an evaluation leaves; a flight may have left its own results there before.
+    if folder != Path(run) and not (folder / "evaluation" / "sweeps.json").exists():
         from keycld.cli.evaluate import evaluate
 
         evaluate(run)

@@ -44,7 +44,7 @@ def fit_motions(
 ) -> Fitted:
     """Fit the start of every motion, and parameters θ common to all, to sightings of whole trajectories.
 
-        min over zᵢ, θ of Σᵢₜ ρ(|x(t; zᵢ, θ) − seenᵢₜ|),    ρ(e) = s²(√(1 + (e/s)²) − 1)
+        min over zᵢ, θ of Σᵢₜₖ ρ(xₖ(t; zᵢ, θ) − seenᵢₜₖ),    ρ(e) = s²(√(1 + (e/s)²) − 1)
 
     by Levenberg–Marquardt. z = (x₀, v₀) is projected on the constraints. A sighting's error is averaged over all frames
     of its motion, so fitted paths are better estimates of the positions than sightings are, and forces are seen over
@@ -60,8 +60,8 @@ def fit_motions(
         horizons: frames taken into account while only starts are fitted, growing, the last one at most T.
         constants: values of Φ that all motions share; None: of each, the mean over its sightings.
         starts: iterations at each horizon.
-        iterations: of starts and θ together, at the last horizon.
-        scale: s, image-plane units: larger distances count linearly.
+        iterations: of starts and θ together, over all frames.
+        scale: s, image-plane units: components xₖ that miss by more count linearly.
         chunk: trajectories differentiated at a time.
 
     Raises:

@@ -16,15 +16,17 @@ class Beginning(eqx.Module):
 
     A motion that was at rest τ before its first frame begins with v ≈ τ a, where a(x, u) is the learned acceleration at
     rest; a motion that is taken up in its middle begins with any velocity. Two pictures alone tell the velocity no
-    better than to a few hundredths of a pixel a frame, which decides how long a prediction holds. By Bayes' rule, with
-    n degrees of freedom and as much belief in either kind before anything is seen,
+    better than to a few hundredths of a pixel a frame, which decides how long a prediction holds. Nearly by Bayes'
+    rule, with n degrees of freedom and as much belief in either kind before anything is seen,
 
         v = τ a + b,  b ~ N(0, σ_b²)   or   v ~ N(0, σ_v²);      v_s = v + e,  e ~ Student's t_ν(0, σ_s²)
         d = v_s − τ a,   s² = σ_s² + σ_b²
         r = P(begun | v_s) = 1 / (1 + (1 + |d|²/νs²)^((ν+n)/2) (s/σ_v)ⁿ exp(−|v_s|²/2σ_v²))
         v̂ = v_s − r w σ_s² / (w σ_s² + σ_b²) d,   w = (ν + |d|²/s²) / (ν + n)
 
-    A velocity that is far from τ a stays what was seen. w says how large this error e seems to be. The numbers are
+    A velocity that is far from τ a stays what was seen. w says how large this error e seems to be. Nearly: b + e is
+    taken for a Student's t of its own, whose constant beside the normal distribution's is left out (1.06 for n = 1,
+    1 for n = 2), and σ_s for nothing beside σ_v. The numbers are
     measured on training recordings, not trained; losses judge what was seen alone. Fresh ones know nothing and change
     nothing (σ_s = 0).
 

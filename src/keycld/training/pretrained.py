@@ -3,8 +3,10 @@
 import dataclasses
 import json
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import equinox as eqx
 import jax
@@ -12,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
+from keycld._files import aside_of
 from keycld.data import sha256
 from keycld.mechanics import load_constraints
 from keycld.models import AbstractModel
@@ -41,19 +44,22 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
     shelf = _SHELF / str(run)
     config = read_config(shelf)
     blank = blank_model(config, load_constraints(shelf / "constraints.toml"))
-    with np.load(shelf / "weights.npz") as saved:
 
-        def fill(path: Any, leaf: Any) -> Any:
-            return jnp.asarray(saved[jax.tree_util.keystr(path)], leaf.dtype) if eqx.is_inexact_array(leaf) else leaf
+    def fill(path: Any, leaf: Any) -> Any:
+        return jnp.asarray(saved[jax.tree_util.keystr(path)], leaf.dtype) if eqx.is_inexact_array(leaf) else leaf
 
-        return jax.tree_util.tree_map_with_path(fill, blank), config
+    try:
+        with np.load(shelf / "weights.npz") as saved:
+            return jax.tree_util.tree_map_with_path(fill, blank), config
+    except (KeyError, OSError, ValueError, BadZipFile) as error:
+        raise KeycldError(f"the packaged model '{run}' is damaged ({error}): install keycld again.") from error
 
 
 def run_folder(run: str | Path) -> Path:
     """The folder of a run; for the name of a model in the package, `runs/NAME-pretrained`, made where it is missing.
 
-    So evaluations, reports and control have a place of their own for a model that was not trained here. What another
-    version of the package left there is replaced.
+    So evaluations, reports and control have a place of their own for a model that was not trained here. What was made
+    with another version of it is moved aside, to `NAME-pretrained.HASH`.
     """
     if not _is_packaged(run):
         folder = Path(run)
@@ -62,8 +68,14 @@ def run_folder(run: str | Path) -> Path:
         return folder
     folder, weights = Path("runs") / f"{run}-pretrained", sha256(_SHELF / str(run) / "weights.npz")
     checkpoint = latest_checkpoint(folder)
-    if checkpoint is None or read_position(checkpoint).get("weights") != weights:
-        shutil.rmtree(folder, ignore_errors=True)
+    before = None if checkpoint is None else read_position(checkpoint).get("weights", "")
+    if before != weights:
+        if before is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        else:
+            aside = aside_of(folder, before[:8])
+            folder.rename(aside)
+            print(f"another version of the model {run} was at work in {folder}: moved to {aside}", file=sys.stderr)
         model, config = load_model(run)
         open_run(folder, dataclasses.replace(config, constraints=(_SHELF / str(run) / "constraints.toml").read_text()))
         shutil.copy(_SHELF / str(run) / "metrics.jsonl", folder / "metrics.jsonl")

@@ -42,7 +42,7 @@ def tell_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
         return None
     return (
         f"the keypoints have not found their parts: {share:.2f} of the mean picture's error is left, where less than "
-        "0.1 is usual. Training goes on, but predictions will be poor. Try another --seed or more --set vision_steps."
+        "0.1 is usual. Training goes on, but predictions will be poor. Try another --seed, or --set vision_steps=2000."
     )
 
 
