@@ -17,7 +17,7 @@ MODELS = {
     "node2": "a second-order neural ODE instead of the Lagrangian",
     "fc": "fully connected observer and renderer instead of heat maps",
 }
-"""The model of the paper and its ablations; a recipe builds and trains each of them, all else equal."""
+"""The model of the paper and its ablations; a recipe builds and trains each of them, all else equal that fits it."""
 
 
 @dataclasses.dataclass(frozen=True)
