@@ -14,6 +14,7 @@ from keycld.benchmarks import (
     as_markdown,
     as_text,
     over_seeds,
+    provenance,
     status_of,
     status_table,
     suite_named,
@@ -126,6 +127,11 @@ def test_the_table(place):
     assert values["paper: KeyCLD"] == ["0.38", "1.00"] and values["paper: NODE2"] == ["0.12", "0.44"]
     assert not any("paper" in row.name for row in found["test_long@200"].rows)
     assert found["minutes"].rows[0].cells[0] == pytest.approx((2.0, 1.0, 3))
+    for seed, commit in ((0, "1234567890"), (1, "abcdef0123"), (2, "abcdef0123")):
+        path = place.result(by_name[f"pendulum-keycld-{seed}"])
+        write_json(path, {**read_json(path), "commit_scored": commit})
+    origin = provenance([each for each in chosen if each.data.system == "pendulum"], place)
+    assert origin.endswith(": KeyCLD 1234567 (1), abcdef0 (2)")
     assert "| KeyCLD | 0.900 ± 0.100 (3) | 0.500 (1) |" in as_markdown(table)
     rows = list(csv.DictReader(io.StringIO(as_csv(tuple(found.values())))))
     (cell,) = (row for row in rows if (row["table"], row["row"], row["column"]) == ("test@50", "KeyCLD", "pendulum"))

@@ -24,6 +24,7 @@ from keycld.benchmarks.table import as_markdown as as_markdown
 from keycld.benchmarks.table import as_text as as_text
 from keycld.benchmarks.table import done_results as done_results
 from keycld.benchmarks.table import over_seeds as over_seeds
+from keycld.benchmarks.table import provenance as provenance
 from keycld.benchmarks.table import tables as tables
 
 __all__ = [
@@ -47,6 +48,7 @@ __all__ = [
     "movie_of",
     "over_seeds",
     "parse_seeds",
+    "provenance",
     "run_experiments",
     "status_of",
     "status_table",

@@ -88,6 +88,17 @@ def done_results(experiments: Sequence[Experiment], place: Place) -> list[tuple[
     return [(each, status.result) for each, status in found if status.word == "done" and status.result is not None]
 
 
+def provenance(experiments: Sequence[Experiment], place: Place) -> str:
+    """Which commits scored the results of each model; those of several commits need not be of one recipe."""
+    found: dict[str, dict[str, int]] = {}
+    for experiment, result in done_results(experiments, place):
+        commits = found.setdefault(MODEL_TITLES[experiment.model], {})
+        commit = str(result["commit_scored"])[:7]
+        commits[commit] = commits.get(commit, 0) + 1
+    each = (f"{model} " + ", ".join(f"{commit} ({n})" for commit, n in of.items()) for model, of in found.items())
+    return "commits that scored (number of results): " + "; ".join(each)
+
+
 def data_labels(experiments: Sequence[Experiment]) -> tuple[str, ...]:
     """The data sets, each once, in the experiments' order."""
     return tuple(dict.fromkeys(experiment.data.label for experiment in experiments))

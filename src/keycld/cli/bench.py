@@ -88,17 +88,18 @@ def table(selection: Selection, *, out: Path | None = None) -> None:
         selection: Which experiments.
         out: Folder for the same as table.md and table.csv.
     """
-    from keycld.benchmarks import as_csv, as_markdown, as_text, tables
+    from keycld.benchmarks import as_csv, as_markdown, as_text, provenance, tables
 
     experiments, place = selection.experiments(), selection.place()
     found = tables(experiments, place)
-    print("\n\n".join(as_text(each) for each in found))
+    origin = provenance(experiments, place)
+    print("\n\n".join([*(as_text(each) for each in found), origin]))
     print(f"\n{_counts(experiments, place)}")
     if out is not None:
         from keycld._files import write_text
 
-        for name, text in (("table.md", "\n".join(map(as_markdown, found))), ("table.csv", as_csv(found))):
-            write_text(out / name, text)
+        write_text(out / "table.md", "\n".join([*map(as_markdown, found), origin, ""]))
+        write_text(out / "table.csv", as_csv(found))
         print(f"written: {out / 'table.md'}, {out / 'table.csv'}")
 
 
