@@ -1,4 +1,4 @@
-"""Truth and the predictions of all models together: the sheets of the paper's Figs. 13 to 15, and movies."""
+"""Truth and the predictions of all models together: the sheets of the paper's Figs. 4 and 13 to 15, and movies."""
 
 import contextlib
 from collections.abc import Sequence
@@ -74,7 +74,7 @@ def gallery(experiments: Sequence[Experiment], place: Place, label: str, protoco
 
 
 def sheet_of(found: Gallery, every: int = 4, scale: int = 2) -> UInt8[np.ndarray, "H W 3"]:
-    """Every fourth frame: the ground truth above, the models below one another (Figs. 13 to 15)."""
+    """Every fourth frame: the ground truth above, the models below one another (Figs. 4 and 13 to 15)."""
     rows = [found.truth, *found.predictions.values()]
     heads = [str(number) for number in found.index[::every]]
     return labelled_sheet([row[::every] for row in rows], [TRUTH, *found.predictions], heads, scale)

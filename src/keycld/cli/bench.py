@@ -104,7 +104,7 @@ def table(selection: Selection, *, out: Path | None = None) -> None:
 
 
 def figures(selection: Selection, *, out: Path | None = None) -> None:
-    """Draw the error over time (Fig. 3), sheets of all models (Figs. 13 to 15) and movies side by side.
+    """Draw the error over time (Fig. 3), sheets of all models (Figs. 4 and 13 to 15) and movies side by side.
 
     Args:
         selection: Which experiments.
