@@ -1,6 +1,7 @@
 """The trained models in the package, on runs of dm_control that were recorded with the paper's own generator."""
 
 import json
+import shutil
 from pathlib import Path
 
 import equinox as eqx
@@ -53,3 +54,12 @@ def test_its_run_folder_is_made_where_it_is_missing(tmp_path, monkeypatch):
     assert (folder.with_name("pendulum-pretrained.of anoth") / "report.html").read_text() == "of another version"
     with pytest.raises(KeycldError, match="did you mean 'pendulum'"):
         run_folder("pendulm")
+
+
+def test_damaged_weights_are_told_from_missing_ones(tmp_path, monkeypatch):
+    shelf = shutil.copytree(Path(keycld.__file__).parent / "training" / "weights", tmp_path / "shelf")
+    whole = (shelf / "pendulum" / "weights.npz").read_bytes()
+    (shelf / "pendulum" / "weights.npz").write_bytes(whole[: len(whole) // 2])
+    monkeypatch.setattr("keycld.training.pretrained._SHELF", shelf)
+    with pytest.raises(KeycldError, match="packaged model 'pendulum' is damaged"):
+        keycld.load("pendulum")

@@ -33,8 +33,8 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
 def tell_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
     """A warning where the vision stage has not learned to see: much of what moves is missing from its drawings.
 
-    Measured: stages that went well left 0.05 to 0.08 of the mean picture's error, those that failed 0.27 to 1.0, and
-    nothing later brings lost keypoints back.
+    Measured: stages that went well left 0.05 to 0.08 of the mean picture's error, those that failed 0.27 to 1.0;
+    the later stages seldom mend that.
     """
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
     share = terms["reconstruction"] / whole
