@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import sys
 from pathlib import Path
 
 import equinox as eqx
@@ -60,6 +61,7 @@ def test_damaged_weights_are_told_from_missing_ones(tmp_path, monkeypatch):
     shelf = shutil.copytree(Path(keycld.__file__).parent / "training" / "weights", tmp_path / "shelf")
     whole = (shelf / "pendulum" / "weights.npz").read_bytes()
     (shelf / "pendulum" / "weights.npz").write_bytes(whole[: len(whole) // 2])
-    monkeypatch.setattr("keycld.training.pretrained._SHELF", shelf)
+    # By the dotted name it would be the function of that name.
+    monkeypatch.setattr(sys.modules["keycld.training.pretrained"], "_SHELF", shelf)
     with pytest.raises(KeycldError, match="packaged model 'pendulum' is damaged"):
         keycld.load("pendulum")
