@@ -49,7 +49,7 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
         return jnp.asarray(saved[jax.tree_util.keystr(path)], leaf.dtype) if eqx.is_inexact_array(leaf) else leaf
 
     try:
-        with np.load(shelf / "weights.npz") as saved:
+        with (shelf / "weights.npz").open("rb") as file, np.load(file) as saved:
             return jax.tree_util.tree_map_with_path(fill, blank), config
     except (KeyError, OSError, ValueError, BadZipFile) as error:
         raise KeycldError(f"the packaged model '{run}' is damaged ({error}): install keycld again.") from error
