@@ -9,6 +9,7 @@ import pytest
 from keycld.data import Resident
 from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State
 from keycld.models import Beginning, FittedStart
+from keycld.training.presets import FastRecipe, Scene
 from keycld.training.presets.prepare import measure_beginning
 
 DT = jnp.array(0.05)
@@ -93,6 +94,33 @@ def test_before_anything_is_measured_nothing_changes(pendulum):
     slow = states(angles(20), jnp.full(20, 0.1))
     found = jax.vmap(lambda s: Beginning.unknown()(pendulum, s, NOTHING))(slow)
     np.testing.assert_array_equal(found.coordinates.v, slow.coordinates.v)
+
+
+def test_a_model_begins_with_the_likelier_velocity(getkey):
+    """`infer` is the start and then the beginning, with the acceleration under the first input."""
+    scene = Scene(16, 16, 1, 12, 6, ("bob",), Constraints(("bob",), (DistanceToPoint("bob"),)))
+    model = FastRecipe(width=8, substeps=1).model(scene, jax.random.key(0))
+    # Keypoints that differ from picture to picture, and inputs that push.
+    model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 30 * kernel)
+    model = eqx.tree_at(lambda m: m.dynamics.law.input_matrix.bias, model, jnp.array([50.0, 20.0]))
+    frames, u = jax.random.uniform(getkey(), (2, 16, 16, 3)), jnp.array([[1.0], [-1.0]])
+    known = Beginning(*jnp.array([0.05, 1.0, 10.0, 20.0]))  # an unlearned estimator's sightings are wild
+    infer = eqx.filter_jit(lambda model: model.infer(frames, DT, u))
+
+    def begun(beginning):
+        return infer(eqx.tree_at(lambda m: m.beginning, model, beginning, is_leaf=lambda leaf: leaf is None))
+
+    @eqx.filter_jit
+    def by_hand(model):
+        seen = jnp.stack([model.observe(frame).keypoints[0] for frame in frames])
+        start = model.start(model.dynamics, seen, DT, u)
+        return start, known(model.dynamics, start, u[0])
+
+    start, likelier = by_hand(model)
+    assert float(jnp.max(jnp.abs(likelier.coordinates.v - start.coordinates.v))) > 1.0
+    for beginning, state in ((None, start), (Beginning.unknown(), start), (known, likelier)):
+        for leaf, wanted in zip(jax.tree.leaves(begun(beginning)), jax.tree.leaves(state), strict=True):
+            np.testing.assert_allclose(leaf, wanted, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("frames", [1, 2])

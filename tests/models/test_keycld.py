@@ -215,15 +215,64 @@ def test_track_loss_written_out_by_hand(model, getkey):
     """Three groups that no motion joins: from each one forward, and backward with negative dt."""
     index, u = [0, 1, 3, 4, 6, 7], jnp.zeros((8, 1))
     path = jnp.stack([on_circle(0.5 + 0.4 * jax.random.normal(key)) for key in jax.random.split(getkey(), 8)])
-    missed = []
-    for first in (0, 3, 6):
-        start = begin(model, path[first], path[first + 1], DT, u[0])
-        later = model.rollout(start, DT, u[0], 7 - first).coordinates.x
-        earlier = model.rollout(start, -DT, u[0], first).coordinates.x
-        rolled = [later[i - first] if i >= first else earlier[first - i] for i in index]
-        gap = np.asarray(rolled) - np.asarray(path[jnp.array(index)])
-        missed += list(np.sum(0.02 * (np.sqrt(1 + (gap / 0.1) ** 2) - 1), axis=-1))
+    seen = np.asarray(path[jnp.array(index)])
+    gap = motions_of_groups(model, seen, index, u[0]) - seen[None]
+    missed = np.sum(0.02 * (np.sqrt(1 + (gap / 0.1) ** 2) - 1), axis=-1)
     assert track(model, track_clip(path, index, u)) == pytest.approx(np.mean(missed), rel=1e-3)
+
+
+def test_prediction_loss_written_out_by_hand(model, getkey):
+    """Two clips of three groups, each of whose frames are drawn from their group's own motion or an earlier one's."""
+    # Fresh networks see all pictures alike, and draw all keypoints alike.
+    outs = lambda m: (m.estimator.network.out.kernel, m.renderer.network.out.kernel)  # noqa: E731
+    model = eqx.tree_at(outs, model, replace_fn=lambda kernel: 100 * kernel)
+    index, key = [0, 1, 3, 4, 6, 7], jax.random.key(8)
+    clip = clips(getkey(), 2, index, 8)
+    total, terms = eqx.filter_jit(PredictionLoss())(model, clip, key=key, step=jnp.array(0))
+
+    frames = np.asarray(clip.frames)
+    observe = eqx.filter_jit(lambda model: jax.vmap(jax.vmap(model.observe))(clip.frames))
+    keypoints, maps = (np.asarray(leaf)[:, :, 0] for leaf in observe(model))
+    rolled = np.stack([motions_of_groups(model, x, index, jnp.ones(1)) for x in keypoints])
+    lot = np.asarray(jax.random.randint(key, (2, 3), 0, np.array([[1, 2, 3]])))
+    assert np.any(lot == [-1, 1, 2]) and np.any(lot < [0, 1, 2])  # neither its own motion always, nor the first
+    renderer, errors, divergences = eqx.filter_jit(model.renderer), [], []
+    cells = (2 * np.arange(8) + 0.5 - 7.5) / 7.5  # middles of 2 × 2 pixels
+    for b, k in np.ndindex(2, 6):
+        drawn = renderer(rolled[b, lot[b, k // 2], k][None])
+        errors.append(np.sum((np.asarray(drawn) - frames[b, k]) ** 2))
+        x, y = keypoints[b, k]
+        blob = np.exp(-((cells[None, :] - x) ** 2 + (-cells[:, None] - y) ** 2) / (2 * 0.05**2))
+        blob = blob / blob.sum()
+        divergences.append(np.sum(blob * (np.log(blob + 1e-12) - np.log(maps[b, k] + 1e-12))))
+    gap = rolled - keypoints[:, None]
+    missed = np.sum(2 * 0.03**2 * (np.sqrt(1 + (gap / 0.03) ** 2) - 1), axis=-1)
+    squares = np.sum(keypoints**2, axis=-1)  # Φ, and |DΦ|² is four times as much
+    expected = {
+        "reconstruction": np.mean(errors),
+        "track": np.mean(missed),
+        "constraint": np.mean((squares - squares.mean()) ** 2 / (4 * squares + 1e-6)),
+        "heat_map": np.mean(divergences),
+    }
+    weights = {"reconstruction": 1, "track": 3000, "constraint": 100, "heat_map": 1}
+    assert {name: float(term) for name, term in terms.items()} == pytest.approx(expected, rel=1e-4)
+    assert float(total) == pytest.approx(sum(weights[name] * expected[name] for name in weights), rel=1e-4)
+
+
+@eqx.filter_jit
+def both_ways(model, x0, x1, u):
+    """Seven frames forward and seven backward from two sightings."""
+    start = model.start(model.dynamics, jnp.stack([x0, x1]), DT, u)
+    return [model.rollout(start, dt, u, 7).coordinates.x for dt in (DT, -DT)]
+
+
+def motions_of_groups(model, seen, index, u):
+    """By hand, of a clip's sightings: each two start a motion, which passes all of the clip's frames."""
+    motions = []
+    for k in range(0, len(index), 2):
+        later, earlier = both_ways(model, seen[k], seen[k + 1], u)
+        motions.append([later[i - index[k]] if i >= index[k] else earlier[index[k] - i] for i in index])
+    return np.asarray(motions)
 
 
 def track_clip(path, index, u):
