@@ -1,6 +1,5 @@
 """`keycld data make | check | show | import`."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -164,5 +163,5 @@ class _Shown:
         from keycld.training import Bar
 
         if self._bar is None:
-            self._bar = Bar("data", progress.total, start=progress.done - progress.fresh, stream=sys.stderr)
+            self._bar = Bar("data", progress.total)
         self._bar.show(progress.done, progress.fresh / max(progress.seconds, 1e-9), "")

@@ -127,7 +127,7 @@ def train_stages(
             current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
         per_step, done = _frames(stage, data), int(current.step)
         clock.frames += per_step * done * len(models)
-        bar = Bar(stage.name, stage.steps, start=done)
+        bar = Bar(stage.name, stage.steps)
         saved, pending = time.monotonic(), []
         logged_at, logged_frames = time.monotonic(), clock.frames
         values: dict[str, float] = {}

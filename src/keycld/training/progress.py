@@ -1,5 +1,6 @@
 """What a long training tells the person who waits: a bar on a terminal, plain lines elsewhere."""
 
+import math
 import sys
 import time
 
@@ -7,31 +8,35 @@ import time
 class Bar:
     """One line a stage with speed and time left.
 
-    On a terminal the line is redrawn at most ten times a second; elsewhere a plain line appears every
-    `every` seconds and at the end.
+    On a terminal the line is redrawn at most ten times a second; elsewhere a plain line appears at
+    first, every `every` seconds and at the end.
     """
 
-    def __init__(self, name: str, total: int, *, start: int = 0, every: float = 15.0, begin=None, stream=None):
-        """`start`: steps already done before this process began; `begin`: when it did, now unless told."""
-        self._name, self._total, self._first = name, total, start
+    def __init__(self, name: str, total: int, *, every: float = 15.0, stream=None):
+        self._name, self._total = name, total
         self._stream = sys.stderr if stream is None else stream
         self._live = self._stream.isatty()
         self._pause = 0.1 if self._live else every
-        self._begin = self._shown = time.monotonic() if begin is None else begin
+        self._shown = -math.inf
+        self._since: tuple[float, int] | None = None
 
     def show(self, done: int, unit_rate: float, text: str) -> None:
         """`done` steps of the total are done, at `unit_rate` frames a second."""
         now = time.monotonic()
+        # The first steps also compile, or were done before this process: time left is told by what comes after them.
+        if self._since is None:
+            self._since = now, done
         last = done >= self._total
         if now - self._shown < self._pause and not last:
             return
         self._shown = now
-        elapsed = now - self._begin
-        left = elapsed / max(done - self._first, 1) * (self._total - done)
-        share = done / max(self._total, 1)
-        filled = round(20 * share)
+        begin, first = self._since
+        left = ""
+        if last or done > first:
+            left = f"  {_clock((now - begin) / max(done - first, 1) * (self._total - done))} left"
+        filled = round(20 * done / max(self._total, 1))
         bar = "█" * filled + "·" * (20 - filled)
-        line = f"{self._name:12s} {bar} {done}/{self._total}  {unit_rate:6.0f} frames/s  {_clock(left)} left  {text}"
+        line = f"{self._name:12s} {bar} {done}/{self._total}  {unit_rate:6.0f} frames/s{left}  {text}"
         if self._live:
             print("\r\x1b[2K" + line, end="\n" if last else "", file=self._stream, flush=True)
         else:
@@ -48,7 +53,7 @@ class Counted:
     def __call__(self, done: int, total: int) -> None:
         """So many frames of the total are done."""
         if self._bar is None:
-            self._bar = Bar(self._name, total, begin=self._begin)
+            self._bar = Bar(self._name, total)
         self._bar.show(done, done / max(time.monotonic() - self._begin, 1e-9), "")
 
 
