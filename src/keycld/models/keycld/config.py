@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
@@ -54,7 +54,7 @@ class KeyCLDConfig(ModelConfig):
         """K."""
         return len(self.phi.keypoints)
 
-    def completed(self, source: Any = None) -> Self:
+    def completed(self, source: Any = None) -> "ModelConfig":
         """Return the config with the constraints of the data set or system `source`, as text where text can hold them.
 
         Raises:

@@ -1,5 +1,3 @@
-import dataclasses
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,11 +7,18 @@ import pytest
 from keycld._errors import KeycldError
 from keycld.data import Clip
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, MLPPotential, Rattle
-from keycld.models import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
-from keycld.training.presets import FastRecipe, PaperRecipe, Scene
+from keycld.models import Scene, config_for
+from keycld.models.keycld.losses import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
 
-SCENE = Scene(16, 16, 1, 12, 6, ("disc",), Constraints(("disc",), (DistanceToPoint("disc"),)))
+SCENE = Scene(height=16, width=16, inputs=1, frames=12, dt=0.05, trajectories=6)
+DISC = Constraints(("disc",), (DistanceToPoint("disc"),))
 DT = jnp.array(0.05)
+
+
+def fast(constraints=DISC, **settings):
+    return config_for("keycld", "fast", constraints=constraints, **settings)
+
+
 # Compiled as a whole: an operation at a time takes ten times as long.
 predict = eqx.filter_jit(lambda model, frames, u, length: model.predict(frames, DT, u, length))
 
@@ -28,24 +33,24 @@ class Gravity(eqx.Module):
 @pytest.fixture
 def model():
     """A tiny KeyCLD whose law is that of a unit pendulum of length one, without input."""
-    fresh = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(0))
+    fresh = fast(width=8, shared_constants=False).build(SCENE, jax.random.key(0))
     return eqx.tree_at(lambda m: m.dynamics.law.potential, fresh, Gravity())
 
 
 @pytest.fixture
 def paper_model():
-    return PaperRecipe(width=8).model(SCENE, jax.random.key(0))
+    return config_for("keycld", "paper", constraints=DISC, width=8).build(SCENE, jax.random.key(0))
 
 
 @eqx.filter_jit
 def begin(model, x0, x1, dt, u):
-    return model.start(model.dynamics, jnp.stack([x0, x1]), dt, u)
+    return model.initial_state(model.dynamics, jnp.stack([x0, x1]), dt, u)
 
 
 @eqx.filter_jit
 def moved(model, u):
-    """Seven intervals from two sightings."""
-    state = model.start(model.dynamics, jnp.stack([on_circle(1.0), on_circle(1.1)]), DT, jnp.atleast_2d(u)[0])
+    """Seven intervals from two observations."""
+    state = model.initial_state(model.dynamics, jnp.stack([on_circle(1.0), on_circle(1.1)]), DT, jnp.atleast_2d(u)[0])
     return model.rollout(state, DT, u, 7).coordinates.x
 
 
@@ -77,7 +82,7 @@ def test_a_plain_difference_would_start_wrong(model):
 
 
 def test_start_compromises_between_two_lengths(model):
-    """Two sightings at distances 0.9 and 1.1 from the pivot give a motion at one constant distance."""
+    """Two observations at distances 0.9 and 1.1 from the pivot give a motion at one constant distance."""
     state = begin(model, 0.9 * on_circle(0.5), 1.1 * on_circle(0.6), DT, jnp.zeros(1))
     path = model.rollout(state, DT, jnp.zeros(1), 40).coordinates.x
     lengths = jnp.linalg.norm(path, axis=1)
@@ -124,7 +129,7 @@ def test_pictures_and_inputs_of_another_system_are_named(model, frames, u, words
 
 
 def test_varying_input_equals_constant_input_when_it_is_constant():
-    model = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(3))
+    model = fast(width=8, shared_constants=False).build(SCENE, jax.random.key(3))
     model = eqx.tree_at(lambda m: m.dynamics.law.input_matrix.bias, model, jnp.array([5.0, 2.0]))
     u = jnp.array([0.7])
     constant, varying, without = (moved(model, u) for u in (u, jnp.broadcast_to(u, (7, 1)), 0 * u))
@@ -134,7 +139,7 @@ def test_varying_input_equals_constant_input_when_it_is_constant():
 
 def test_a_common_factor_of_mass_energy_and_input_changes_nothing():
     """(M, V, g) is learned only up to one factor."""
-    model = FastRecipe(width=8, shared_constants=False).model(SCENE, jax.random.key(3))
+    model = fast(width=8, shared_constants=False).build(SCENE, jax.random.key(3))
     law = lambda m: m.dynamics.law  # noqa: E731
     model = eqx.tree_at(
         lambda m: (law(m).potential.weight, law(m).input_matrix.bias),
@@ -158,7 +163,7 @@ def test_a_common_factor_of_mass_energy_and_input_changes_nothing():
 def clips(key, batch, index, span):
     return Clip(
         frames=jax.random.uniform(key, (batch, len(index), 16, 16, 3)),
-        keypoints=None,
+        cached=None,
         index=jnp.broadcast_to(jnp.array(index)[None], (batch, len(index))),
         u=jnp.ones((batch, 1)),
         dt=jnp.full(batch, 0.05),
@@ -208,7 +213,7 @@ def test_track_loss_is_zero_on_the_models_own_motion(model, getkey):
     path = model.rollout(start, DT, u[:11], 11).coordinates.x
     clip = track_clip(path, [0, 1, 4, 5, 7, 8, 10, 11], u)
     assert track(model, clip) < 1e-6
-    assert track(model, eqx.tree_at(lambda c: c.keypoints, clip, clip.keypoints.at[0, 5:].add(0.1))) > 1e-3
+    assert track(model, eqx.tree_at(lambda c: c.cached, clip, clip.cached.at[0, 5:].add(0.1))) > 1e-3
 
 
 def test_track_loss_written_out_by_hand(model, getkey):
@@ -261,13 +266,13 @@ def test_prediction_loss_written_out_by_hand(model, getkey):
 
 @eqx.filter_jit
 def both_ways(model, x0, x1, u):
-    """Seven frames forward and seven backward from two sightings."""
-    start = model.start(model.dynamics, jnp.stack([x0, x1]), DT, u)
+    """Seven frames forward and seven backward from two observations."""
+    start = model.initial_state(model.dynamics, jnp.stack([x0, x1]), DT, u)
     return [model.rollout(start, dt, u, 7).coordinates.x for dt in (DT, -DT)]
 
 
 def motions_of_groups(model, seen, index, u):
-    """By hand, of a clip's sightings: each two start a motion, which passes all of the clip's frames."""
+    """By hand, of a clip's observations: each two start a motion, which passes all of the clip's frames."""
     motions = []
     for k in range(0, len(index), 2):
         later, earlier = both_ways(model, seen[k], seen[k + 1], u)
@@ -287,7 +292,7 @@ def track(model, clip):
 
 @pytest.mark.parametrize(("loss", "index", "span"), [(VisionLoss(), [0], 1), (PredictionLoss(), [0, 1, 4, 5], 8)])
 def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, getkey):
-    model = FastRecipe(width=8).model(SCENE, jax.random.key(0))
+    model = fast(width=8).build(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, index, span)
     gradient = eqx.filter_jit(eqx.filter_grad(lambda m: loss(m, clip, key=getkey(), step=jnp.array(5))[0]))(model)
     groups = {name: jax.tree.leaves(getattr(gradient, name)) for name in ("estimator", "dynamics", "renderer")}
@@ -306,8 +311,7 @@ def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, g
 )
 def test_vision_holds_constraints_more_and_more(item, weights, getkey):
     """Those to the world at once, those between keypoints later: 1000^(1/2) = 31.6 at a quarter of the steps."""
-    scene = dataclasses.replace(SCENE, keypoints=("a", "b"), constraint=Constraints(("a", "b"), (item,)))
-    model = FastRecipe(width=8).model(scene, jax.random.key(0))
+    model = fast(Constraints(("a", "b"), (item,)), width=8).build(SCENE, jax.random.key(0))
     # Keypoints that differ from picture to picture, or the term would drown in rounding.
     model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 100 * kernel)
     clip = clips(getkey(), 3, [0], 1)
@@ -321,8 +325,7 @@ def test_vision_holds_constraints_more_and_more(item, weights, getkey):
 def test_what_ties_keypoints_is_mended_by_the_joint_first(getkey):
     """Of an acrobot: the elbow answers for the forearm's length from the first step, the forearm's end in the end."""
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "end"))
-    scene = dataclasses.replace(SCENE, keypoints=("elbow", "end"), constraint=Constraints(("elbow", "end"), items))
-    model = FastRecipe(width=8).model(scene, jax.random.key(0))
+    model = fast(Constraints(("elbow", "end"), items), width=8).build(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, [0], 1)
     loss = VisionLoss(joints=0.85, steps=100)
 

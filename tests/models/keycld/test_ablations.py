@@ -11,30 +11,37 @@ import pytest
 from keycld import KeycldError
 from keycld.data import Clip
 from keycld.mechanics import Constraints, DistanceToPoint, Leapfrog
-from keycld.models import ShortRolloutLoss
-from keycld.models.short_rollout_loss import turned, turned_back
-from keycld.training import MODELS, PRESETS
-from keycld.training.presets import FastRecipe, JournalRecipe, Scene
+from keycld.models import Scene, config_for, models
+from keycld.models.keycld.config import MODELS
+from keycld.models.keycld.short_rollout_loss import ShortRolloutLoss, turned, turned_back
 
-SCENE = Scene(16, 16, 1, 12, 6, ("disc",), Constraints(("disc",), (DistanceToPoint("disc"),)))
+SCENE = Scene(height=16, width=16, inputs=1, frames=12, dt=0.05, trajectories=6)
+DISC = Constraints(("disc",), (DistanceToPoint("disc"),))
 DT = jnp.array(0.05)
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+
+
+def configured(model, preset="fast"):
+    return config_for(model, preset, constraints=DISC, width=8)
+
+
+@pytest.mark.parametrize("preset", ["fast", "control", "paper", "journal"])
 @pytest.mark.parametrize("kind", MODELS)
-def test_every_model_of_every_preset_starts_and_draws(preset, kind, getkey):
-    recipe = PRESETS[preset](width=8)
-    model = recipe.model(SCENE, jax.random.key(0), kind)
+def test_every_model_of_every_preset_infers_a_state_and_renders_it(preset, kind, getkey):
+    assert preset in models()[kind].presets
+    config = configured(kind, preset)
+    model = config.build(SCENE, jax.random.key(0))
     frames = jax.random.uniform(getkey(), (12, 16, 16, 3))
     drawn = eqx.filter_jit(lambda model, frames: model.render(model.infer(frames, DT, jnp.ones(1))))
     assert drawn(model, frames[: model.context]).shape == (16, 16, 3)
-    assert sum(stage.steps for stage in recipe.stages(SCENE, kind)) > 0
+    assert sum(stage.steps for stage in config.stages(SCENE)) > 0
 
 
 @pytest.mark.parametrize("kind", ["node2", "fc"])
 def test_every_part_of_an_ablation_has_a_first_gradient(kind, getkey):
-    recipe = FastRecipe(width=8)
-    model, stage = recipe.model(SCENE, jax.random.key(0), kind), recipe.stages(SCENE, kind)[-1]
+    config = configured(kind)
+    model, stage = config.build(SCENE, jax.random.key(0)), config.stages(SCENE)[-1]
     frames = jax.random.uniform(getkey(), (12, 16, 16, 3))
     clip = Clip(frames[None], None, jnp.arange(12)[None], jnp.ones((1, 1)), DT[None], 12)
 
@@ -50,7 +57,7 @@ def test_every_part_of_an_ablation_has_a_first_gradient(kind, getkey):
 
 
 def test_without_constraints_the_integrator_is_stoermer_verlet(getkey):
-    model = FastRecipe(width=8).model(SCENE, getkey(), "keycld-nc")
+    model = configured("keycld-nc").build(SCENE, getkey())
     model = eqx.tree_at(lambda m: m.dynamics.law.potential.weight, model, jnp.array([0.4, 3.0]))
     plain = eqx.tree_at(lambda m: m.dynamics.integrator, model, Leapfrog(substeps=4))
     frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
@@ -62,7 +69,7 @@ def test_without_constraints_the_integrator_is_stoermer_verlet(getkey):
 
 
 def test_node2_accelerates_by_position_velocity_and_input(getkey):
-    law = FastRecipe(width=8).model(SCENE, getkey(), "node2").law
+    law = configured("node2").build(SCENE, getkey()).law
     x, v, u = (jax.random.normal(getkey(), (n,)) for n in (2, 2, 1))
     assert [k.shape for k in law.perceptron.kernels] == [(5, 64), (64, 64), (64, 64), (64, 2)]
     for k in range(3):
@@ -71,11 +78,11 @@ def test_node2_accelerates_by_position_velocity_and_input(getkey):
 
 
 def test_fully_connected_networks_have_coordinates_but_no_maps(getkey):
-    model = FastRecipe(width=8).model(SCENE, getkey(), "fc")
+    model = configured("fc").build(SCENE, getkey())
     seen = model.observe(jax.random.uniform(getkey(), (16, 16, 3)))
     assert seen.heat_maps is None and seen.keypoints.shape == (1, 2)
     with pytest.raises(KeycldError, match="multiples of 8, not 18 × 16"):
-        FastRecipe(width=8).model(dataclasses.replace(SCENE, height=18), getkey(), "fc")
+        fast(width=8).model(dataclasses.replace(SCENE, height=18), getkey(), "fc")
 
 
 @pytest.mark.parametrize("code", range(8))
@@ -89,7 +96,7 @@ def test_the_eight_turns_of_a_picture_are_undone(code, getkey):
 
 def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     """Four explicit Euler steps from every frame that has them, central differences on ker DΦ, in plain NumPy."""
-    model = JournalRecipe(width=8).model(SCENE, jax.random.key(0))
+    model = configured("keycld", "journal").build(SCENE, jax.random.key(0))
     frames = jax.random.uniform(getkey(), (1, 10, 16, 16, 3))
     clip = Clip(frames, None, jnp.arange(10)[None], jnp.full((1, 1), 0.7), DT[None], 10)
     loss = eqx.filter_jit(ShortRolloutLoss(augment=False))
@@ -98,7 +105,7 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     observe = eqx.filter_jit(model.observe)
     seen = [observe(frame) for frame in frames[0]]
     x = np.array([np.ravel(s.keypoints) for s in seen], float)
-    dt, law = float(DT), model.law
+    dt, law = float(DT), model.moving_law
     dynamics, accelerate = 0.0, eqx.filter_jit(law.acceleration)
     for k in range(1, 4):  # frames 1 ... 8 have a velocity; the last five of them start nothing
         v = (x[k + 1] - x[k - 1]) / (2 * dt)
@@ -128,7 +135,7 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
 
 def test_a_turned_estimator_still_sees_the_same_place(getkey):
     """With augmentation the loss differs, because the network is not symmetric, but stays finite and drawn anew."""
-    model = JournalRecipe(width=8).model(SCENE, jax.random.key(0))
+    model = configured("keycld", "journal").build(SCENE, jax.random.key(0))
     clip = Clip(
         jax.random.uniform(getkey(), (1, 10, 16, 16, 3)), None, jnp.arange(10)[None], jnp.ones((1, 1)), DT[None], 10
     )
