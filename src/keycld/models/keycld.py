@@ -85,7 +85,7 @@ class KeyCLD(AbstractModel):
         **Raises:** KeycldError for frames of another size, or another number of inputs, than the model knows.
         """
         inputs = getattr(self.law, "inputs", None)
-        if inputs not in (None, u.shape[-1]):
+        if inputs not in (None, 0, u.shape[-1]):  # a law without an input matrix ignores u
             raise KeycldError(
                 f"this model has {inputs} inputs, not {u.shape[-1]}: give data of the system that it was trained on."
             )
