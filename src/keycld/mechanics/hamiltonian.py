@@ -91,7 +91,7 @@ def momentum(law: AbstractLagrangian, q: Float[Array, "m"], v: Float[Array, "m"]
 
 def to_hamiltonian(law: GeneralizedLagrangian) -> Hamiltonian:
     """Return the Legendre transform H = pᵀq̇ − L = ½ pᵀM(q)⁻¹p + V(q), p = M(q) q̇."""
-    return Hamiltonian(eqx.Partial(_energy, law), law.input_matrix)
+    return Hamiltonian(function=eqx.Partial(_energy, law), input_matrix=law.input_matrix)
 
 
 def _energy(law: GeneralizedLagrangian, q: Float[Array, "m"], p: Float[Array, "m"]) -> Float[Array, ""]:

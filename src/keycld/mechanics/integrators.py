@@ -1,4 +1,4 @@
-"""Fixed-step integrators: the interface, and explicit Euler, mid-point, Runge–Kutta 4 and leapfrog of x'' = a(x, v, u)."""
+"""Fixed-step integrators: the interface, and Euler, mid-point, Runge–Kutta 4 and leapfrog for x'' = a(x, v, u)."""
 
 import abc
 from typing import Any

@@ -1,7 +1,6 @@
 """Mass matrices between keypoints, positive by construction (paper, eq. (14))."""
 
 import abc
-from typing import Self
 
 import equinox as eqx
 import jax
@@ -38,13 +37,13 @@ class PointMasses(AbstractMassMatrix):
     root: Float[Array, "K"]
 
     @classmethod
-    def ones(cls, count: int) -> Self:
+    def ones(cls, count: int) -> "PointMasses":
         """Return masses of 1, as the 2024 version initialises them."""
         _check_count(count)
         return cls(jnp.ones((count,)))
 
     @classmethod
-    def near_zero(cls, count: int, *, key: PRNGKeyArray) -> Self:
+    def near_zero(cls, count: int, *, key: PRNGKeyArray) -> "PointMasses":
         """Return masses with roots from N(0, 0.01²), about 10⁻⁴ each, as the released code of arXiv v1 samples them."""
         _check_count(count)
         return cls(0.01 * jax.random.normal(key, (count,)))
@@ -74,7 +73,7 @@ class CoupledMasses(AbstractMassMatrix):
     root: Float[Array, "K K"]
 
     @classmethod
-    def ones(cls, count: int) -> Self:
+    def ones(cls, count: int) -> "CoupledMasses":
         """Return uncoupled masses of 1."""
         _check_count(count)
         return cls(jnp.eye(count))

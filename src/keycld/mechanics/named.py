@@ -20,35 +20,37 @@ def _leapfrogs(first: tuple[float, ...], count: int) -> Composition:
     lengths = _symmetric(first, count)
     halves = (0.0, *lengths, 0.0)
     kicks = tuple((before + after) / 2 for before, after in zip(halves[:-1], halves[1:], strict=True))
-    return Composition(kicks, lengths, kick_first=True)
+    return Composition(kicks=kicks, drifts=lengths, kick_first=True)
 
 
 _CUBE_ROOT = 2 ** (1 / 3)
 
 INTEGRATORS: dict[str, AbstractIntegrator] = {
-    "euler": RungeKutta(((),), (1.0,)),
+    "euler": RungeKutta(rows=((),), weights=(1.0,)),
     # Mid-point rule.
-    "rk2": RungeKutta(((), (1 / 2,)), (0.0, 1.0)),
-    "rk4": RungeKutta(((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)), (1 / 6, 1 / 3, 1 / 3, 1 / 6)),
+    "rk2": RungeKutta(rows=((), (1 / 2,)), weights=(0.0, 1.0)),
+    "rk4": RungeKutta(rows=((), (1 / 2,), (0.0, 1 / 2), (0.0, 0.0, 1.0)), weights=(1 / 6, 1 / 3, 1 / 3, 1 / 6)),
     # Kutta's 3/8 rule.
-    "rk38": RungeKutta(((), (1 / 3,), (-1 / 3, 1.0), (1.0, -1.0, 1.0)), (1 / 8, 3 / 8, 3 / 8, 1 / 8)),
-    "symp_euler": Composition((1.0,), (1.0,), kick_first=False),
-    "leap_frog": Composition((0.5, 0.5), (1.0,), kick_first=True),
+    "rk38": RungeKutta(rows=((), (1 / 3,), (-1 / 3, 1.0), (1.0, -1.0, 1.0)), weights=(1 / 8, 3 / 8, 3 / 8, 1 / 8)),
+    "symp_euler": Composition(kicks=(1.0,), drifts=(1.0,), kick_first=False),
+    "leap_frog": Composition(kicks=(0.5, 0.5), drifts=(1.0,), kick_first=True),
     # Forest and Ruth 1990.
     "ruth4": Composition(
-        _symmetric((1 / (2 - _CUBE_ROOT),), 3), _symmetric((1 / (4 - 2 * _CUBE_ROOT),), 4), kick_first=False
+        kicks=_symmetric((1 / (2 - _CUBE_ROOT),), 3),
+        drifts=_symmetric((1 / (4 - 2 * _CUBE_ROOT),), 4),
+        kick_first=False,
     ),
     # Blanes and Moan 2002: S6 of order 4 and S10 of order 6.
     "sym4": Composition(
-        _symmetric((0.0792036964311957, 0.353172906049774, -0.0420650803577195), 7),
-        _symmetric((0.209515106613362, -0.143851773179818), 6),
+        kicks=_symmetric((0.0792036964311957, 0.353172906049774, -0.0420650803577195), 7),
+        drifts=_symmetric((0.209515106613362, -0.143851773179818), 6),
         kick_first=True,
     ),
     "sym6": Composition(
-        _symmetric(
+        kicks=_symmetric(
             (0.0502627644003922, 0.413514300428344, 0.0450798897943977, -0.188054853819569, 0.54196067845078), 11
         ),
-        _symmetric((0.148816447901042, -0.132385865767784, 0.067307604692185, 0.432666402578175), 10),
+        drifts=_symmetric((0.148816447901042, -0.132385865767784, 0.067307604692185, 0.432666402578175), 10),
         kick_first=True,
     ),
     # McLachlan 1995 and Yoshida 1990.

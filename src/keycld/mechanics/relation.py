@@ -5,7 +5,7 @@ import importlib
 import pkgutil
 from collections.abc import Sequence
 from numbers import Real
-from typing import Any, Self, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -27,12 +27,12 @@ class AbstractRelation(eqx.Module):
     Attributes:
         kind: its name in a TOML file.
         required: entries that its table in a TOML file must have.
-        optional: entries that it may have.
+        optional: entries that it may have; none by default.
     """
 
-    kind: eqx.AbstractClassVar[str]
-    required: eqx.AbstractClassVar[tuple[str, ...]]
-    optional: eqx.AbstractClassVar[tuple[str, ...]]
+    kind: ClassVar[str]
+    required: ClassVar[tuple[str, ...]]
+    optional: ClassVar[tuple[str, ...]] = ()
 
     @property
     @abc.abstractmethod
@@ -50,7 +50,7 @@ class AbstractRelation(eqx.Module):
 
     @classmethod
     @abc.abstractmethod
-    def read(cls, entries: dict[str, Any]) -> Self:
+    def read(cls, entries: dict[str, Any]) -> "AbstractRelation":
         """Return the relation that the entries of a TOML table describe.
 
         Args:

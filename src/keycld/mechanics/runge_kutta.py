@@ -17,7 +17,7 @@ class RungeKutta(AbstractIntegrator):
     kᵢ = F(s + h Σⱼ aᵢⱼ kⱼ, u) for j < i,   s' = s + h Σᵢ bᵢ kᵢ.
 
     Follows every `AbstractField`: Hamiltonians, laws of second order, learned fields. Not symplectic: energy drifts.
-    `integrator_named` gives the usual ones. `Euler`, `RK2` and `RK4` are the same methods written out for laws of second
+    `integrator_named` gives the usual ones. `Euler`, `RK2` and `RK4` are three of them written out for laws of second
     order.
 
     Attributes:
@@ -35,8 +35,8 @@ class RungeKutta(AbstractIntegrator):
         lengths = [len(row) for row in self.rows]
         if lengths != list(range(len(self.weights))) or abs(sum(self.weights) - 1) > 1e-9:
             raise KeycldError(
-                f"an explicit Runge–Kutta method has i − 1 coefficients in row i and weights of sum 1, not rows of lengths "
-                f"{lengths} and weights {self.weights}."
+                "row i of an explicit Runge–Kutta method has i − 1 coefficients and its weights have sum 1, but the "
+                f"rows have lengths {lengths} and the weights are {self.weights}: correct the coefficients."
             )
 
     def begin(self, field: AbstractField, coordinates: PyTree, parameters: Parameters, h: Scalar) -> None:

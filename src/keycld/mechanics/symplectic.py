@@ -6,10 +6,10 @@ import equinox as eqx
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.mechanics.hamiltonian import AbstractHamiltonian, SeparableHamiltonian
+from keycld.mechanics.hamiltonian import SeparableHamiltonian
 from keycld.mechanics.integrators import AbstractIntegrator, Parameters
 from keycld.mechanics.lagrangian import combine
-from keycld.mechanics.state import PhasePoint, Scalar
+from keycld.mechanics.state import AbstractField, PhasePoint, Scalar
 
 
 class Composition(AbstractIntegrator):
@@ -42,7 +42,7 @@ class Composition(AbstractIntegrator):
                 f"but it has kicks {self.kicks} and drifts {self.drifts}: correct the coefficients."
             )
 
-    def begin(self, field: AbstractHamiltonian, coordinates: PhasePoint, parameters: Parameters, h: Scalar) -> Any:
+    def begin(self, field: AbstractField, coordinates: PhasePoint, parameters: Parameters, h: Scalar) -> Any:
         """Return ∇V and g at q, or ∇T at p: what the first kick or drift uses.
 
         Raises:

@@ -1,6 +1,6 @@
 """A keypoint that turns around a fixed point."""
 
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 
@@ -62,9 +62,9 @@ class DistanceToPoint(AbstractDisplacement):
         return parameters[self.point]
 
     @classmethod
-    def read(cls, entries: dict[str, Any]) -> Self:
+    def read(cls, entries: dict[str, Any]) -> "DistanceToPoint":
         """Return the relation from `keypoint` and `point`, two numbers or the name of a parameter."""
-        return cls(**(entries | {"keypoint": keypoint_entry(entries["keypoint"])}))
+        return cls(keypoint_entry(entries["keypoint"]), entries.get("point", (0.0, 0.0)))
 
     def write(self) -> dict[str, Any]:
         """Return `keypoint` and `point`."""

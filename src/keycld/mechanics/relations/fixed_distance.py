@@ -1,6 +1,6 @@
 """Two keypoints on one rigid body."""
 
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 
@@ -24,7 +24,6 @@ class FixedDistance(AbstractDisplacement):
 
     kind = "fixed_distance"
     required = ("between",)
-    optional = ()
 
     first: str = eqx.field(static=True)
     second: str = eqx.field(static=True)
@@ -50,7 +49,7 @@ class FixedDistance(AbstractDisplacement):
         return (0.0, 0.0)
 
     @classmethod
-    def read(cls, entries: dict[str, Any]) -> Self:
+    def read(cls, entries: dict[str, Any]) -> "FixedDistance":
         """Return the relation from `between`, two names."""
         between = entries["between"]
         if not isinstance(between, list) or len(between) != 2 or not all(isinstance(name, str) for name in between):

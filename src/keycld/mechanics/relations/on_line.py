@@ -1,6 +1,6 @@
 """A keypoint that slides along a straight line."""
 
-from typing import Any, Self
+from typing import Any
 
 import equinox as eqx
 
@@ -55,9 +55,9 @@ class OnLine(AbstractDisplacement):
         return (0.0, 0.0)
 
     @classmethod
-    def read(cls, entries: dict[str, Any]) -> Self:
+    def read(cls, entries: dict[str, Any]) -> "OnLine":
         """Return the relation from `keypoint` and `direction`, two numbers."""
-        return cls(**(entries | {"keypoint": keypoint_entry(entries["keypoint"])}))
+        return cls(keypoint_entry(entries["keypoint"]), entries.get("direction", (1.0, 0.0)))
 
     def write(self) -> dict[str, Any]:
         """Return `keypoint` and `direction`."""
