@@ -56,7 +56,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         """How many inputs the law of motion takes."""
         law = self.moving_law
         assert isinstance(law, (ConstrainedLagrangian, SecondOrderNetwork))
-        return law.inputs or 0
+        return law.inputs
 
     def anchor(self, n: int) -> int:
         """Return the frame that the initial state belongs to."""
