@@ -22,7 +22,7 @@ from keycld.mechanics import (
     two_point_masses,
 )
 from keycld.systems import get
-from keycld.systems.mujoco_system import load_model
+from keycld.systems.mujoco.base import load_model
 
 GRAVITY = 9.81
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from keycld.systems.mujoco_system import import_mujoco, load_model
+from keycld.systems.mujoco.base import import_mujoco, load_model
 
 
 def masks(name: str, positions: np.ndarray, size: int) -> list[dict[str, np.ndarray]]:

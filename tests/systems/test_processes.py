@@ -87,7 +87,7 @@ def test_without_gl_one_sentence_names_the_packages(monkeypatch, variable, value
 
 
 def test_one_process_draws_one_system():
-    from keycld.systems.drawing import draw_in_worker
+    from keycld.systems.pictures import draw_in_worker
 
     system = get("pendulum")
     other = get("acrobot")

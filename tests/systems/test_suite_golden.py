@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from keycld.systems import AbstractInitialValueSystem, Recording, get, names, soft_discs, to_bytes
-from keycld.systems.suite.soft_discs import hue_colours
+from keycld.systems.discs import hue_colours
 
 GOLDEN = Path(__file__).parent / "golden" / "suite"
 NAMES = names(AbstractInitialValueSystem)

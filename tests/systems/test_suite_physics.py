@@ -7,10 +7,10 @@ import pytest
 
 from keycld import KeycldError
 from keycld.systems import AbstractInitialValueSystem, Recording, Task, get, is_software, names, run_in_processes
-from keycld.systems.suite import molecular
-from keycld.systems.suite.kepler import kepler
-from keycld.systems.suite.solving import solve
-from keycld.systems.suite.toy import AbstractToySystem
+from keycld.systems.molecular import simulation as molecular
+from keycld.systems.hamiltonian.kepler import kepler
+from keycld.systems.solving import solve
+from keycld.systems.hamiltonian.base import AbstractToySystem
 
 NAMES = names(AbstractInitialValueSystem)
 

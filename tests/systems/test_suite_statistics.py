@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from keycld.systems import AbstractInitialValueSystem, get, names
-from keycld.systems.catalogue.rooms import AbstractRoom
-from keycld.systems.suite.toy import AbstractToySystem
+from keycld.systems.rooms.base import AbstractRoom
+from keycld.systems.hamiltonian.base import AbstractToySystem
 
 COUNT = 1000
 NAMES = names(AbstractInitialValueSystem)

@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.systems.base import AbstractSystem
-from keycld.systems.drawing import Pictures
-from keycld.systems.suite.soft_discs import to_bytes
+from keycld.systems.pictures import Pictures
+from keycld.systems.discs import to_bytes
 
 if TYPE_CHECKING:
     import keycld.mechanics

@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from keycld.systems.base import Drawer
-from keycld.systems.drawing import Pictures, draw_in_worker
+from keycld.systems.pictures import Pictures, draw_in_worker
 from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER, AbstractSampledSystem, Recording
-from keycld.systems.suite.room_scene import draw_scene, scene_vector
+from keycld.systems.rooms.scene import draw_scene, scene_vector
 
 _STEP = math.radians(0.1)
 # φ^(1/90°): the radius of a golden spiral grows by this factor a degree.
@@ -75,7 +75,7 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
 
     def drawer(self) -> AbstractContextManager[Drawer]:
         """MuJoCo's renderer, with the room refurnished for each trajectory."""
-        from keycld.systems.suite.room_scene import RoomDrawer
+        from keycld.systems.rooms.scene import RoomDrawer
 
         return RoomDrawer(self.size)
 

@@ -4,9 +4,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from keycld.systems import sweeping
+from keycld.systems.mujoco import sweeping
 from keycld.systems.base import SweepPath
-from keycld.systems.mujoco_system import AbstractMujocoSystem, uniform_angles, wrapped
+from keycld.systems.mujoco.base import AbstractMujocoSystem, uniform_angles, wrapped
 from keycld.systems.registry import register
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from keycld.systems.mujoco_system import import_mujoco, load_model, no_gl
+from keycld.systems.mujoco.base import import_mujoco, load_model, no_gl
 
 # dm_control draws shadows from a map of 2048 x 2048, which takes two thirds of a software renderer's time.
 # With 512 fewer than 5 of 10,000 pixels change by more than two levels (measured in docs/systems.md).

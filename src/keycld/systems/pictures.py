@@ -60,6 +60,6 @@ def renderer_name() -> str:
     Raises:
         KeycldError: MuJoCo is missing, or no GL context can be made.
     """
-    from keycld.systems.catalogue.pendulum import Pendulum
+    from keycld.systems.mujoco.pendulum import Pendulum
 
     return draw(Pendulum(), np.zeros((1, 2))).renderer

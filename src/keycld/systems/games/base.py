@@ -12,9 +12,9 @@ from jaxtyping import Array, Float
 from keycld.systems.initial_values import AbstractInitialValueSystem
 from keycld.systems.registry import register
 from keycld.systems.sampled import RELEASED
-from keycld.systems.suite.draws import simplex
-from keycld.systems.suite.solving import solve
-from keycld.systems.suite.toy import counts_with_long
+from keycld.systems.distributions import simplex
+from keycld.systems.solving import solve
+from keycld.systems.hamiltonian.base import counts_with_long
 
 _TOLERANCE = 1e-12
 

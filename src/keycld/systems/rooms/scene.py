@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from keycld.systems.mujoco_system import import_mujoco
-from keycld.systems.rendering import MujocoDrawer
+from keycld.systems.mujoco.base import import_mujoco
+from keycld.systems.mujoco.rendering import MujocoDrawer
 
 OBJECTS = 5
 SHAPES = ("sphere", "capsule", "cylinder", "box")

@@ -11,8 +11,8 @@ from jaxtyping import Array, Float
 
 from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER
-from keycld.systems.suite.kepler import kepler
-from keycld.systems.suite.toy import AbstractToySystem
+from keycld.systems.hamiltonian.kepler import kepler
+from keycld.systems.hamiltonian.base import AbstractToySystem
 
 if TYPE_CHECKING:
     import keycld.mechanics

@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from keycld.systems.initial_values import AbstractInitialValueSystem
 from keycld.systems.sampled import PAPER, RELEASED, map_states
-from keycld.systems.suite import soft_discs
-from keycld.systems.suite.draws import distinct
+from keycld.systems import discs
+from keycld.systems.distributions import distinct
 
 if TYPE_CHECKING:
     import keycld.mechanics
@@ -38,8 +38,8 @@ class AbstractToySystem(AbstractInitialValueSystem):
 
     dt: ClassVar[float] = 0.05
     protocols: ClassVar[tuple[str, ...]] = (RELEASED, PAPER)
-    renderer: ClassVar[str] = soft_discs.NAME
-    renderer_version: ClassVar[int] = soft_discs.VERSION
+    renderer: ClassVar[str] = discs.NAME
+    renderer_version: ClassVar[int] = discs.VERSION
     counts = {"default": {"train": 50_000, "test": 20_000}, "full": {"train": 50_000, "test": 20_000}}
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
     varied: ClassVar[bool] = False
@@ -80,9 +80,9 @@ class AbstractToySystem(AbstractInitialValueSystem):
     def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Soft discs of area m and hue `color_index` / `hues`."""
         radii = jnp.sqrt(self.masses(parameters) / math.pi)
-        colours = jnp.asarray(soft_discs.hue_colours(self.hues), seen.dtype)[parameters["color_index"]]
+        colours = jnp.asarray(discs.hue_colours(self.hues), seen.dtype)[parameters["color_index"]]
         canvas = parameters["canvas"] * jnp.array([-1.0, 1.0], seen.dtype)
-        return soft_discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
+        return discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
 
     @property
     def constraints(self) -> "keycld.mechanics.Constraints":

@@ -12,7 +12,8 @@ from jaxtyping import Array, Float
 
 from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording
-from keycld.systems.suite import molecular, soft_discs
+from keycld.systems import discs
+from keycld.systems.molecular import simulation as molecular
 
 _LENGTHS = {"default": molecular.Lengths(1e3, 1e3, 2.5e3), "full": molecular.Lengths(1e4, 1e4, 2.5e4)}
 # Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they do not know of each other.
@@ -40,8 +41,8 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
 
     dt: ClassVar[float] = molecular.STEPS_A_FRAME * molecular.TIME_STEP
     protocols: ClassVar[tuple[str, ...]] = (PAPER,)
-    renderer: ClassVar[str] = soft_discs.NAME
-    renderer_version: ClassVar[int] = soft_discs.VERSION
+    renderer: ClassVar[str] = discs.NAME
+    renderer_version: ClassVar[int] = discs.VERSION
     counts = {"default": {"train": 5_600, "test": 1_400}, "full": {"train": 50_000, "test": 20_000}}
     particles: ClassVar[int]
     density: ClassVar[float]
@@ -92,8 +93,8 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         """Discs of hue k/N, particle 0 on top, cut at the border: periodic images are not drawn."""
         canvas = self.box / 2 * jnp.array([-1.0, 1.0], seen.dtype)
         radii = jnp.full(self.particles, self.radius, seen.dtype)
-        colours = jnp.asarray(soft_discs.hue_colours(self.particles), seen.dtype)
-        return soft_discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
+        colours = jnp.asarray(discs.hue_colours(self.particles), seen.dtype)
+        return discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
 
 
 @register

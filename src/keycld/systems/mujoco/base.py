@@ -181,7 +181,7 @@ class AbstractMujocoSystem(AbstractMechanism):
 
     def drawer(self) -> AbstractContextManager[Drawer]:
         """MuJoCo's own renderer."""
-        from keycld.systems.rendering import MujocoDrawer
+        from keycld.systems.mujoco.rendering import MujocoDrawer
 
         return MujocoDrawer(self.name, self.size)
 

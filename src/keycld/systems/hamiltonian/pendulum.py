@@ -10,9 +10,9 @@ from jaxtyping import Array, Float
 
 from keycld.systems.registry import register
 from keycld.systems.sampled import RELEASED
-from keycld.systems.suite.draws import annulus
-from keycld.systems.suite.solving import solve
-from keycld.systems.suite.toy import AbstractToySystem, counts_with_long, disc_radius
+from keycld.systems.distributions import annulus
+from keycld.systems.solving import solve
+from keycld.systems.hamiltonian.base import AbstractToySystem, counts_with_long, disc_radius
 
 if TYPE_CHECKING:
     import keycld.mechanics

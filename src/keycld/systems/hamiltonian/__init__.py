@@ -1,0 +1,1 @@
+"""Toy physics: systems with a Hamiltonian, with or without friction, shown as soft discs."""
