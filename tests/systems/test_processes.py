@@ -14,7 +14,7 @@ def double(x):
 
 
 def refuse():
-    raise KeycldError("mend this")
+    raise KeycldError("fix this")
 
 
 def break_down():
@@ -43,7 +43,7 @@ def test_results_come_with_their_index():
 
 
 def test_a_users_error_arrives_as_it_is():
-    with pytest.raises(KeycldError, match="^mend this$"):
+    with pytest.raises(KeycldError, match="^fix this$"):
         list(run_in_processes([Task(refuse, ())]))
 
 
@@ -95,5 +95,5 @@ def test_one_process_draws_one_system():
 
     assert draw(system, np.zeros((1, 2))).image.shape == (1, 64, 64, 3)
     tasks = [Task(draw_in_worker, (each, np.zeros((1, len(each.state_names))))) for each in (system, other)]
-    with pytest.raises(RuntimeError, match="cannot draw"):
+    with pytest.raises(RuntimeError, match="cannot render"):
         list(run_in_processes(tasks, workers=1))

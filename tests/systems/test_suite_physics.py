@@ -7,10 +7,10 @@ import pytest
 
 from keycld import KeycldError
 from keycld.systems import AbstractInitialValueSystem, Recording, Task, get, is_software, names, run_in_processes
-from keycld.systems.molecular import simulation as molecular
+from keycld.systems.hamiltonian.base import AbstractHamiltonianSystem
 from keycld.systems.hamiltonian.kepler import kepler
+from keycld.systems.molecular import simulation as molecular
 from keycld.systems.solving import solve
-from keycld.systems.hamiltonian.base import AbstractToySystem
 
 NAMES = names(AbstractInitialValueSystem)
 
@@ -112,7 +112,7 @@ def test_a_trajectory_does_not_depend_on_its_neighbours():
     np.testing.assert_array_equal(part.parameters["offset"], whole.parameters["offset"][3:])
 
 
-@pytest.mark.parametrize("name", names(AbstractToySystem))
+@pytest.mark.parametrize("name", names(AbstractHamiltonianSystem))
 def test_landmarks_lie_on_the_discs(name):
     system = get(name)
     if not system.keypoints:

@@ -7,12 +7,12 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from keycld.systems import AbstractInitialValueSystem, get, names
+from keycld.systems.hamiltonian.base import AbstractHamiltonianSystem
 from keycld.systems.rooms.base import AbstractRoom
-from keycld.systems.hamiltonian.base import AbstractToySystem
 
 COUNT = 1000
 NAMES = names(AbstractInitialValueSystem)
-TOYS = names(AbstractToySystem)
+TOYS = names(AbstractHamiltonianSystem)
 VARIED = tuple(name for name in TOYS if "colors" in name)
 # Some 160 comparisons are made here.
 LEAST = 1e-3 / 160

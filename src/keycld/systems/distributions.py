@@ -1,4 +1,4 @@
-"""Random draws that several sets share; every trajectory has a generator `RandomState(number)` of its own."""
+"""Random distributions that several sets share; every trajectory has a generator `RandomState(number)` of its own."""
 
 import math
 
@@ -7,7 +7,7 @@ from jaxtyping import Float, Int
 
 
 def annulus(random: np.random.RandomState, radii: tuple[float, float], *, by_area: bool) -> Float[np.ndarray, "2"]:
-    """A point of the ring between two radii.
+    """Sample a point of the ring between two radii.
 
     `by_area`: uniform over the ring, r = √U(r₁², r₂²); otherwise r = U(r₁, r₂), which favours the inside.
     """
@@ -18,11 +18,11 @@ def annulus(random: np.random.RandomState, radii: tuple[float, float], *, by_are
 
 
 def distinct(random: np.random.RandomState, count: int, among: int) -> Int[np.ndarray, "count"]:
-    """`count` different numbers below `among`, every order equally likely."""
+    """Sample `count` different numbers below `among`, every order equally likely."""
     return random.permutation(among)[:count]
 
 
 def simplex(random: np.random.RandomState, count: int) -> Float[np.ndarray, "count"]:
-    """Shares that sum to 1, uniform over all such (Dirichlet with all parameters 1): gaps between sorted numbers."""
+    """Sample shares that sum to 1, uniformly over all such (Dirichlet, parameters 1): gaps between sorted numbers."""
     cuts = np.sort(random.uniform(size=count - 1))
     return np.diff(np.concatenate([[0.0], cuts, [1.0]]))

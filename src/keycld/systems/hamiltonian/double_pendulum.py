@@ -8,11 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keycld.systems.distributions import annulus
+from keycld.systems.hamiltonian.base import AbstractHamiltonianSystem, disc_radius
 from keycld.systems.registry import register
 from keycld.systems.sampled import RELEASED
-from keycld.systems.distributions import annulus
-from keycld.systems.solving import solve
-from keycld.systems.hamiltonian.base import AbstractToySystem, disc_radius
 
 if TYPE_CHECKING:
     import keycld.mechanics
@@ -22,8 +21,8 @@ _RADII_VARIED = (1.0, 2.5)
 _VARIED = {"m_1": (0.4, 0.6), "m_2": (0.4, 0.6), "l_1": (0.75, 1.0), "l_2": (0.75, 1.0), "g": (2.5, 4.0)}
 
 
-class AbstractDoublePendulum(AbstractToySystem, abc.ABC):
-    """The physics that the three sets share."""
+class AbstractDoublePendulum(AbstractHamiltonianSystem, abc.ABC):
+    """Two points on two massless rods, with friction λ: the physics that the three sets share."""
 
     state_names = ("q_1", "q_2", "p_1", "p_2")
     units = ("rad", "rad", "1", "1")
@@ -31,7 +30,7 @@ class AbstractDoublePendulum(AbstractToySystem, abc.ABC):
     def hamiltonian(
         self, q: Float[Array, "2"], p: Float[Array, "2"], parameters: Mapping[str, Array]
     ) -> Float[Array, ""]:
-        """Angles from hanging, both absolute.
+        """Compute H of absolute angles from hanging and their momenta.
 
         H = (m₂l₂²p₁² + (m₁+m₂)l₁²p₂² − 2m₂l₁l₂p₁p₂ cos(q₁−q₂)) / (2m₂l₁²l₂²(m₁ + m₂ sin²(q₁−q₂)))
         − (m₁+m₂)gl₁ cos q₁ − m₂gl₂ cos q₂. (Table 2 of the paper squares the sum in the denominator by mistake.)
@@ -43,18 +42,12 @@ class AbstractDoublePendulum(AbstractToySystem, abc.ABC):
         below = 2 * m2 * l1**2 * l2**2 * (m1 + m2 * jnp.sin(gap) ** 2)
         return above / below - total * g * l1 * jnp.cos(q[0]) - m2 * g * l2 * jnp.cos(q[1])
 
-    def motion(
-        self, start: Float[Array, "4"], parameters: Mapping[str, Array], times: Float[Array, "T"]
-    ) -> Float[Array, "T 4"]:
-        """Integrated."""
-        return solve(lambda state: self.derivative(state, parameters), start, times)
-
     def masses(self, parameters: Mapping[str, Array]) -> Float[Array, "2"]:
-        """(m₁, m₂)."""
+        """Return (m₁, m₂)."""
         return jnp.stack([parameters["m_1"], parameters["m_2"]])
 
     def centres(self, q: Float[Array, "2"], parameters: Mapping[str, Array]) -> Float[Array, "2 2"]:
-        """The first disc hangs from the origin, the second from the first, which is drawn over it."""
+        """Return the disc that hangs from the origin and lies on top, then the one that hangs from it."""
         lengths = jnp.stack([parameters["l_1"], parameters["l_2"]])
         links = lengths[:, None] * jnp.stack([jnp.sin(q), -jnp.cos(q)], axis=-1)
         return jnp.cumsum(links, axis=0)
@@ -62,7 +55,7 @@ class AbstractDoublePendulum(AbstractToySystem, abc.ABC):
     def start(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "4"], dict[str, np.ndarray]]:
-        """(q₁, p₁) and (q₂, p₂), each in a ring.
+        """Sample (q₁, p₁) and (q₂, p₂), each in a ring.
 
         Released: radii 1.3 to 2.3, uniform in radius; with "+c" 1 to 2.5, by area. Paper: 1.3 to 2.3, by area.
         """
@@ -73,7 +66,7 @@ class AbstractDoublePendulum(AbstractToySystem, abc.ABC):
         return points.reshape(-1), {**parameters, **self.look(random, 2, protocol, self.varied)}
 
     def relations(self) -> tuple["keycld.mechanics.AbstractRelation", ...]:
-        """Fixed distances: image centre to inner disc to outer disc."""
+        """Return fixed distances: image centre to inner disc to outer disc."""
         from keycld.mechanics import DistanceToPoint, FixedDistance
 
         return (DistanceToPoint("inner", (0.0, 0.0)), FixedDistance("inner", "outer"))
@@ -84,9 +77,9 @@ class DoublePendulum(AbstractDoublePendulum):
     """Two points of mass 0.5 on two massless rods of length 1, g = 3: chaotic at these energies.
 
     A red and a cyan disc, in a random order, no rods; the inner one lies on top. State: absolute angles q₁, q₂ from
-    hanging, momenta p₁, p₂. Nearby starts part by a factor e every few seconds: exact pictures for 256 frames need
-    all digits of the start. Pictures are upside down: y grows downward. Source: "Which priors matter?" (arXiv
-    2111.05458), section 4.1 and table 2 (its denominator corrected); released configuration DOUBLE_PENDULUM.
+    hanging, momenta p₁, p₂. Nearby trajectories part by a factor e every few seconds: exact pictures for 256 frames
+    need all digits of the initial state. Pictures are upside down: y grows downward. Source: "Which priors matter?"
+    (arXiv 2111.05458), section 4.1 and table 2 (its denominator corrected); released configuration DOUBLE_PENDULUM.
     """
 
     name = "toy/double_pendulum"
@@ -109,15 +102,14 @@ class DoublePendulumColors(AbstractDoublePendulum):
     half_width = 2.0 + disc_radius(0.6)
     varied = True
     hues = 6
-    keypoints = ()
 
 
 @register
 class DoublePendulumColorsFriction(AbstractDoublePendulum):
     """As `toy/double_pendulum_colors`, with dp/dt = −∂H/∂q − λ ∂H/∂p, λ = 0.05.
 
-    The same starts. The motion calms down: later frames are easier than early ones. Source: "Which priors matter?",
-    section 4.1; released configuration DOUBLE_PENDULUM_COLORS_FRICTION.
+    The same initial states. The motion calms down: later frames are easier than early ones. Source: "Which priors
+    matter?", section 4.1; released configuration DOUBLE_PENDULUM_COLORS_FRICTION.
     """
 
     name = "toy/double_pendulum_colors_friction"
@@ -126,4 +118,3 @@ class DoublePendulumColorsFriction(AbstractDoublePendulum):
     varied = True
     friction = 0.05
     hues = 6
-    keypoints = ()

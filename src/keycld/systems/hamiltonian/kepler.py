@@ -12,7 +12,7 @@ _SMALL = 1e-2
 def kepler(
     position: Float[Array, "d"], velocity: Float[Array, "d"], strength: Float[Array, ""], time: Float[Array, ""]
 ) -> tuple[Float[Array, "d"], Float[Array, "d"]]:
-    """Position and velocity after `time` of r̈ = −μ r / |r|³, from those at time zero.
+    """Compute position and velocity after `time` of r̈ = −μ r / |r|³, from those at time zero.
 
     Kepler's equation in the universal anomaly χ, √μ t = r₀ χ (1 − ψ S) + (r₀·v₀/√μ) χ² C + χ³ S with
     ψ = (2/r₀ − v₀²/μ) χ² and Stumpff's C(ψ) and S(ψ), is solved by Laguerre's method as Conway (1986) proposes,
@@ -56,7 +56,7 @@ def kepler(
 
 
 def _stumpff(psi: Float[Array, ""]) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """C = (1 − cos √ψ)/ψ and S = (√ψ − sin √ψ)/√ψ³, with cosh and sinh where ψ is negative."""
+    """Compute C = (1 − cos √ψ)/ψ and S = (√ψ − sin √ψ)/√ψ³, with cosh and sinh where ψ is negative."""
     size = jnp.where(jnp.abs(psi) < _SMALL, 1.0, jnp.abs(psi))
     root = jnp.sqrt(size)
     c = jnp.where(psi > 0, 1 - jnp.cos(root), jnp.cosh(root) - 1) / size

@@ -9,10 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld.systems.registry import register
-from keycld.systems.sampled import RELEASED
 from keycld.systems.distributions import annulus
-from keycld.systems.hamiltonian.base import AbstractToySystem, counts_with_long, disc_radius
+from keycld.systems.hamiltonian.base import AbstractHamiltonianSystem, disc_radius
+from keycld.systems.registry import register
+from keycld.systems.sampled import COUNTS_WITH_LONG, RELEASED
 
 if TYPE_CHECKING:
     import keycld.mechanics
@@ -21,8 +21,8 @@ _AMPLITUDES = (0.1, 1.0)
 _VARIED = {"k": (2.0, 2.0), "m": (0.2, 1.0)}
 
 
-class AbstractMassSpring(AbstractToySystem, abc.ABC):
-    """The physics that the three sets share."""
+class AbstractMassSpring(AbstractHamiltonianSystem, abc.ABC):
+    """H = k q² / 2 + p² / 2m with friction λ: the physics that the three sets share."""
 
     state_names = ("q", "p")
     units = ("1", "1")
@@ -30,13 +30,13 @@ class AbstractMassSpring(AbstractToySystem, abc.ABC):
     def hamiltonian(
         self, q: Float[Array, "1"], p: Float[Array, "1"], parameters: Mapping[str, Array]
     ) -> Float[Array, ""]:
-        """H = k q² / 2 + p² / 2m."""
+        """Compute H = k q² / 2 + p² / 2m."""
         return parameters["k"] * q[0] ** 2 / 2 + p[0] ** 2 / (2 * parameters["m"])
 
     def motion(
         self, start: Float[Array, "2"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T 2"]:
-        """Closed form: q = e^(−γt) (q₀ cos ωt + (q̇₀ + γ q₀)/ω sin ωt), γ = λ/2m, ω² = k/m − γ², p = m q̇."""
+        """Compute q = e^(−γt) (q₀ cos ωt + (q̇₀ + γ q₀)/ω sin ωt), γ = λ/2m, ω² = k/m − γ², p = m q̇."""
         k, m = parameters["k"], parameters["m"]
         rate = self.friction / (2 * m)
         omega = jnp.sqrt(k / m - rate**2)
@@ -47,17 +47,17 @@ class AbstractMassSpring(AbstractToySystem, abc.ABC):
         return jnp.stack([q, m * velocity], axis=-1)
 
     def masses(self, parameters: Mapping[str, Array]) -> Float[Array, "1"]:
-        """One disc of mass m."""
+        """Return m, the mass of the one disc."""
         return parameters["m"][None]
 
     def centres(self, q: Float[Array, "1"], parameters: Mapping[str, Array]) -> Float[Array, "1 2"]:
-        """On the vertical axis."""
+        """Return (0, q), a point of the vertical axis."""
         return jnp.stack([jnp.zeros_like(q), q], axis=-1)
 
     def start(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "2"], dict[str, np.ndarray]]:
-        """(q, p/√(km)) in the ring of radii 0.1 to 1, so that the radius is the amplitude.
+        """Sample (q, p/√(km)) in the ring of radii 0.1 to 1, so that the radius is the amplitude.
 
         Released: uniform in radius without "+c", by area with it; the random place of a "+c" set is one number in
         ± 0.4 half widths for x and y together, and x has a further U(0, 1). Paper: by area always; x and y are
@@ -73,7 +73,7 @@ class AbstractMassSpring(AbstractToySystem, abc.ABC):
         return point * np.array([1.0, scale]), {**parameters, **look}
 
     def relations(self) -> tuple["keycld.mechanics.AbstractRelation", ...]:
-        """The disc stays on the vertical axis."""
+        """Return the constraint that the disc stays on the vertical axis."""
         from keycld.mechanics import OnLine
 
         return (OnLine("disc", direction=(0.0, 1.0)),)
@@ -93,7 +93,7 @@ class MassSpring(AbstractMassSpring):
     half_width = _AMPLITUDES[1] + disc_radius(0.5)
     hues = 1
     keypoints = ("disc",)
-    counts = counts_with_long()
+    counts = COUNTS_WITH_LONG
 
 
 @register
@@ -109,16 +109,15 @@ class MassSpringColors(AbstractMassSpring):
     half_width = _AMPLITUDES[1] + disc_radius(1.0)
     varied = True
     hues = 6
-    keypoints = ()
-    counts = counts_with_long()
+    counts = COUNTS_WITH_LONG
 
 
 @register
 class MassSpringColorsFriction(AbstractMassSpring):
     """m q̈ = −k q − λ q̇ with k = 2, m ~ U(0.2, 1), λ = 0.05: a decaying oscillation.
 
-    Looks as `toy/mass_spring_colors`, with the same starts; the amplitude falls as e^(−λt/2m), by 27 to 80 % in
-    256 frames. Source: "Which priors matter?", section 4.1; released configuration MASS_SPRING_COLORS_FRICTION.
+    Pictures and initial states are those of `toy/mass_spring_colors`; the amplitude falls as e^(−λt/2m), by 27 to 80 %
+    in 256 frames. Source: "Which priors matter?", section 4.1; released configuration MASS_SPRING_COLORS_FRICTION.
     """
 
     name = "toy/mass_spring_colors_friction"
@@ -127,4 +126,3 @@ class MassSpringColorsFriction(AbstractMassSpring):
     varied = True
     friction = 0.05
     hues = 6
-    keypoints = ()

@@ -2,26 +2,22 @@
 
 import abc
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keycld.systems.hamiltonian.base import AbstractHamiltonianSystem
+from keycld.systems.hamiltonian.kepler import kepler
 from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER
-from keycld.systems.hamiltonian.kepler import kepler
-from keycld.systems.hamiltonian.base import AbstractToySystem
-
-if TYPE_CHECKING:
-    import keycld.mechanics
 
 _COORDINATES = (0.5, 1.5)
 
 
-class AbstractTwoBody(AbstractToySystem, abc.ABC):
-    """The physics that the two sets share."""
+class AbstractTwoBody(AbstractHamiltonianSystem, abc.ABC):
+    """H = −g m₁ m₂ / |q₁ − q₂| + |p₁|²/2m₁ + |p₂|²/2m₂: the physics that the two sets share."""
 
     state_names = ("x_1", "y_1", "x_2", "y_2", "px_1", "py_1", "px_2", "py_2")
     units = ("1",) * 8
@@ -29,7 +25,7 @@ class AbstractTwoBody(AbstractToySystem, abc.ABC):
     def hamiltonian(
         self, q: Float[Array, "4"], p: Float[Array, "4"], parameters: Mapping[str, Array]
     ) -> Float[Array, ""]:
-        """H = −g m₁ m₂ / |q₁ − q₂| + |p₁|²/2m₁ + |p₂|²/2m₂."""
+        """Compute H = −g m₁ m₂ / |q₁ − q₂| + |p₁|²/2m₁ + |p₂|²/2m₂."""
         m, gap = parameters["m"], q[:2] - q[2:]
         kinetic = jnp.sum(p[:2] ** 2) / (2 * m[0]) + jnp.sum(p[2:] ** 2) / (2 * m[1])
         return kinetic - parameters["g"] * m[0] * m[1] / jnp.sqrt(jnp.sum(gap**2))
@@ -37,7 +33,7 @@ class AbstractTwoBody(AbstractToySystem, abc.ABC):
     def motion(
         self, start: Float[Array, "8"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T 8"]:
-        """Closed form: the centre of mass moves evenly, the distance vector is Kepler's problem."""
+        """Compute the even motion of the centre of mass, and Kepler's problem for the distance vector."""
         m = parameters["m"][:, None]
         total = jnp.sum(m)
         q, v = start[:4].reshape(2, 2), start[4:].reshape(2, 2) / m
@@ -53,17 +49,17 @@ class AbstractTwoBody(AbstractToySystem, abc.ABC):
         return jax.vmap(at)(times)
 
     def masses(self, parameters: Mapping[str, Array]) -> Float[Array, "2"]:
-        """(m₁, m₂)."""
+        """Return (m₁, m₂)."""
         return parameters["m"]
 
     def centres(self, q: Float[Array, "4"], parameters: Mapping[str, Array]) -> Float[Array, "2 2"]:
-        """The bodies; the first lies on top."""
+        """Return the positions of the bodies; the first lies on top."""
         return q.reshape(2, 2)
 
     def start(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "8"], dict[str, np.ndarray]]:
-        """Bodies at ±(a, b), a and b ~ U(0.5, 1.5), momenta ±(b, −a) / (2 ρ^1.5), ρ² = a² + b².
+        """Sample bodies at ±(a, b), a and b ~ U(0.5, 1.5), momenta ±(b, −a) / (2 ρ^1.5), ρ² = a² + b².
 
         With masses and g of 1 the orbit is a circle, with others a conic. Paper: "+c" has random places too.
         """
@@ -75,12 +71,8 @@ class AbstractTwoBody(AbstractToySystem, abc.ABC):
         return np.array([a, b, -a, -b, *p, *-p]), {**parameters, **look}
 
     def accepts(self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Those whose bodies' centres stay within the canvas, before a random place is added."""
+        """Return which trajectories stay within the canvas, before a random place is added."""
         return np.all(np.abs(state[:, :, :4]) <= self.half_width, axis=(1, 2))
-
-    def relations(self) -> tuple["keycld.mechanics.AbstractRelation", ...]:
-        """None: the bodies are free."""
-        return ()
 
 
 @register
@@ -105,7 +97,7 @@ class TwoBodyColors(AbstractTwoBody):
     """q̈₁ = −g m₂ (q₁ − q₂) / |q₁ − q₂|³ and its counterpart, m₁ and m₂ ~ U(0.5, 1.5), g ~ U(0.5, 1.5).
 
     Two discs of area m and of different colours out of six. Ellipses, also narrow ones, and hyperbolas; about a fifth
-    of the draws leave the square of ±5 and are drawn again. State: both positions, both momenta. In the released
+    of the samples leave the square of ±5 and are sampled again. State: both positions, both momenta. In the released
     configuration nothing shifts the picture; `--protocol priors-paper` does. Source: "Which priors matter?",
     section 4.1 and table 3 (its "h" is g); released configuration TWO_BODY_COLORS.
     """
@@ -115,4 +107,3 @@ class TwoBodyColors(AbstractTwoBody):
     varied = True
     half_width = 5.0
     hues = 6
-    keypoints = ()

@@ -10,13 +10,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keycld.systems import discs
+from keycld.systems.molecular import simulation
 from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording
-from keycld.systems import discs
-from keycld.systems.molecular import simulation as molecular
 
-_LENGTHS = {"default": molecular.Lengths(1e3, 1e3, 2.5e3), "full": molecular.Lengths(1e4, 1e4, 2.5e4)}
-# Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they do not know of each other.
+_LENGTHS = {"default": simulation.Lengths(1e3, 1e3, 2.5e3), "full": simulation.Lengths(1e4, 1e4, 2.5e4)}
+# Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they hardly know of each other.
 WINDOWS = {"default": 70, "full": 700}
 # Simulations side by side: vector registers are full, and all of a step's arrays stay in the fastest cache.
 _TOGETHER = 8
@@ -30,7 +30,9 @@ def _names(particles: int) -> tuple[str, ...]:
 class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
     """ẍᵢ = −∂U/∂xᵢ with U = Σ u(r), u = 4 (r⁻¹² − r⁻⁶) for r < L/2 and 0 beyond, nearest images.
 
-    Trajectory n is window n mod W of simulation n // W. Source: "Which priors matter?", section 4.3, appendix A.1.3.
+    Reduced units (σ, ε, m and τ are 1). State: positions, then velocities. Trajectory n is window n mod W of simulation
+    n // W, W = 70 (default size) or 700 (full). Source: "Which priors matter?" (arXiv 2111.05458), section 4.3 and
+    appendix A.1.3.
 
     Attributes:
         particles: N.
@@ -39,7 +41,7 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         radius: of the discs; the paper says "adjusted to fit the canvas well".
     """
 
-    dt: ClassVar[float] = molecular.STEPS_A_FRAME * molecular.TIME_STEP
+    dt: ClassVar[float] = simulation.STEPS_A_FRAME * simulation.TIME_STEP
     protocols: ClassVar[tuple[str, ...]] = (PAPER,)
     renderer: ClassVar[str] = discs.NAME
     renderer_version: ClassVar[int] = discs.VERSION
@@ -55,15 +57,19 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         return math.sqrt(self.particles / self.density)
 
     def group(self, frames: int, size: str, images: bool) -> int:
-        """The windows of some simulations."""
+        """Return the number of windows of eight simulations."""
         return _TOGETHER * WINDOWS[size]
 
+    def related(self, size: str) -> int:
+        """Return the number of windows of one simulation."""
+        return WINDOWS[size]
+
     def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
-        """Runs the simulations that these numbers belong to, from their beginning to their end."""
+        """Run the simulations that these numbers belong to, from their beginning to their end."""
         windows = WINDOWS[size]
         simulations = np.arange(numbers[0] // windows, numbers[-1] // windows + 1)
         with jax.enable_x64(True):
-            moved = molecular.simulate(
+            moved = simulation.simulate(
                 simulations, self.particles, self.density, self.temperature, _LENGTHS[size], windows, frames
             )
         first = numbers[0] - simulations[0] * windows
@@ -77,20 +83,20 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         return tuple(a.reshape(-1, 2).T[:, :, None] for a in (x, v))  # pyright: ignore[reportReturnType]
 
     def derivative(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
-        """Velocities and forces."""
+        """Return velocities and forces."""
         x, _ = self._paired(state)
-        return jnp.concatenate([jnp.split(state, 2)[1], molecular.forces(x, self.box)[:, :, 0].T.reshape(-1)])
+        return jnp.concatenate([jnp.split(state, 2)[1], simulation.forces(x, self.box)[:, :, 0].T.reshape(-1)])
 
     def conserved(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, ""]:
-        """Kinetic energy + Σ (u(r) − u(L/2)), which the truncated forces keep."""
-        return molecular.shifted_energy(*self._paired(state), self.box)[0]
+        """Compute kinetic energy + Σ (u(r) − u(L/2)), which the truncated forces keep."""
+        return simulation.shifted_energy(*self._paired(state), self.box)[0]
 
     def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
-        """The particles' places."""
+        """Return the positions of the particles."""
         return jnp.split(state, 2)[0]
 
     def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
-        """Discs of hue k/N, particle 0 on top, cut at the border: periodic images are not drawn."""
+        """Render discs of hue k/N, particle 0 on top, cut at the border: periodic images are not shown."""
         canvas = self.box / 2 * jnp.array([-1.0, 1.0], seen.dtype)
         radii = jnp.full(self.particles, self.radius, seen.dtype)
         colours = jnp.asarray(discs.hue_colours(self.particles), seen.dtype)
@@ -102,7 +108,7 @@ class LennardJones4(AbstractLennardJones):
     """Four Lennard-Jones particles, T* = 1.0, ρ* = 0.04: a thin gas in a periodic square of side 10.
 
     ẍᵢ = −∂U/∂xᵢ, pair potential 4 (r⁻¹² − r⁻⁶) cut at r = 5 and not shifted; frames are 0.01 τ apart. Mostly straight
-    flight, at times a collision. Four discs of radius 0.8 in red, yellow-green, cyan and violet. State: places, then
+    flight, at times a collision. Four discs of radius 0.8 in red, yellow-green, cyan and violet. State: positions, then
     velocities, in reduced units. Source: "Which priors matter?" (arXiv 2111.05458), section 4.3 and appendix A.1.3. The
     radius is inferred from table 5: the error of a constant picture, 295, needs 0.8.
     """
@@ -121,9 +127,9 @@ class LennardJones16(AbstractLennardJones):
     """Sixteen Lennard-Jones particles, T* = 0.5, ρ* = 0.77: a liquid in a periodic square of side 4.56.
 
     ẍᵢ = −∂U/∂xᵢ, pair potential 4 (r⁻¹² − r⁻⁶) cut at r = 2.28 and not shifted; frames are 0.01 τ apart. Particles
-    rattle in cages of neighbours; nearby starts part within a few τ. Sixteen discs of radius 0.3 in sixteen hues.
-    State: places, then velocities, in reduced units. Source: "Which priors matter?" (arXiv 2111.05458), section 4.3 and
-    appendix A.1.3. The radius is the released default and agrees with table 5.
+    rattle in cages of neighbours; nearby trajectories part within a few τ. Sixteen discs of radius 0.3 in sixteen hues.
+    State: positions, then velocities, in reduced units. Source: "Which priors matter?" (arXiv 2111.05458), section 4.3
+    and appendix A.1.3. The radius is the released default and agrees with table 5.
     """
 
     name = "md/lj_16"

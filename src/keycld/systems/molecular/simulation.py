@@ -16,8 +16,8 @@ from keycld._errors import KeycldError
 TIME_STEP = 0.002
 STEPS_A_FRAME = 5
 DAMPING = 0.2
-# How often the energy is looked at while its mean is taken, in steps.
-_LOOK = 10
+# Steps between two samples of the energy while its mean is taken.
+_EVERY = 10
 _DESCENT_STEPS, _DESCENT_LENGTH = 4000, 0.02
 
 
@@ -30,13 +30,13 @@ class Lengths(NamedTuple):
 
 
 def separations(x: Float[Array, "2 N S"], box: float) -> Float[Array, "2 N N S"]:
-    """Difference vectors of all pairs to the nearest periodic images."""
+    """Return difference vectors of all pairs to the nearest periodic images."""
     gap = x[:, :, None, :] - x[:, None, :, :]
     return gap - box * jnp.round(gap / box)
 
 
 def _pairs(x: Array, box: float) -> tuple[Array, Array, Array]:
-    """Separations, r⁻² of pairs nearer than r_c = L/2 (0 for the others), and which those are."""
+    """Return separations, r⁻² of pairs nearer than r_c = L/2 (0 for the others), and which those are."""
     gap = separations(x, box)
     square = jnp.sum(gap**2, axis=0)
     near = (square < (box / 2) ** 2) & (square > 0)
@@ -44,27 +44,27 @@ def _pairs(x: Array, box: float) -> tuple[Array, Array, Array]:
 
 
 def forces(x: Float[Array, "2 N S"], box: float) -> Float[Array, "2 N S"]:
-    """−∂U/∂x of the truncated potential; pairs beyond L/2 do not act."""
+    """Compute −∂U/∂x of the truncated potential; pairs beyond L/2 do not act."""
     gap, inverse, _ = _pairs(x, box)
     sixth = inverse**3
     return jnp.sum((24 * inverse * sixth * (2 * sixth - 1))[None] * gap, axis=2)
 
 
 def potential_energy(x: Float[Array, "2 N S"], box: float) -> Float[Array, "S"]:
-    """U = Σ u(r) over pairs, u = 4 (r⁻¹² − r⁻⁶) below L/2 and 0 beyond: truncated, not shifted (eqs. 6 and 7)."""
+    """Compute U = Σ u(r) over pairs, u = 4 (r⁻¹² − r⁻⁶) below L/2 and 0 beyond: truncated, not shifted (eqs. 6, 7)."""
     _, inverse, _ = _pairs(x, box)
     return jnp.sum(4 * (inverse**6 - inverse**3), axis=(0, 1)) / 2
 
 
 def shifted_energy(x: Float[Array, "2 N S"], v: Float[Array, "2 N S"], box: float) -> Float[Array, "S"]:
-    """Kinetic energy + Σ (u(r) − u(L/2)): what the truncated forces keep constant. U itself jumps at L/2."""
+    """Compute kinetic energy + Σ (u(r) − u(L/2)), which the truncated forces keep constant. U itself jumps at L/2."""
     _, _, near = _pairs(x, box)
     at_cut = 4 * ((2 / box) ** 12 - (2 / box) ** 6)
     return kinetic_energy(v) + potential_energy(x, box) - at_cut * jnp.sum(near, axis=(0, 1)) / 2
 
 
 def kinetic_energy(v: Float[Array, "2 N S"]) -> Float[Array, "S"]:
-    """Σ v²/2."""
+    """Compute Σ v²/2."""
     return jnp.sum(v**2, axis=(0, 1)) / 2
 
 
@@ -73,7 +73,7 @@ def _centred(a: Array) -> Array:
 
 
 def _descend(x: Array, box: float) -> Array:
-    """Away from overlaps: steps along the force, none longer than a fiftieth of σ."""
+    """Move away from overlaps: steps along the force, none longer than a fiftieth of σ."""
 
     def step(_, x):
         force = forces(x, box)
@@ -92,18 +92,18 @@ def _verlet(state: tuple[Array, Array, Array], box: float) -> tuple[Array, Array
 
 
 def _noise(keys: Array, step: Array, particles: int) -> Array:
-    """Uniform random numbers of mean 0 and variance 1 whose sum over the particles is 0, of each simulation its own."""
+    """Sample uniform numbers of mean 0 and variance 1 whose sum over the particles of a simulation is 0."""
 
     def one(key):
         return jax.random.uniform(jax.random.fold_in(key, step), (2, particles), jnp.float32, -1.0, 1.0)
 
-    drawn = jnp.moveaxis(jax.vmap(one)(keys), 0, -1).astype(float)
-    return jnp.sqrt(3.0) * _centred(drawn)
+    sampled = jnp.moveaxis(jax.vmap(one)(keys), 0, -1).astype(float)
+    return jnp.sqrt(3.0) * _centred(sampled)
 
 
 @partial(jax.jit, static_argnums=(1, 2, 3, 4))
 def _simulate(seeds, particles, box, temperature, steps):
-    """Returns x and v `[2, N, S]` after settling, their forces, and whether the energy could be met `[S]`."""
+    """Return x and v `[2, N, S]` after settling, their forces, and whether the energy could be met `[S]`."""
     keys = jax.vmap(jax.random.key)(seeds)
     place, speed, bath = jnp.unstack(jax.vmap(lambda key: jax.random.split(key, 3))(keys), axis=1)
     shape = (2, particles)
@@ -117,15 +117,15 @@ def _simulate(seeds, particles, box, temperature, steps):
         x, v, force = _verlet(state, box)
         return x, keep * v + kick * _noise(bath, k, particles), force
 
-    def look(k, carry):
+    def accumulate(k, carry):
         state, total = carry
-        state = jax.lax.fori_loop(k * _LOOK, (k + 1) * _LOOK, thermal, state)
+        state = jax.lax.fori_loop(k * _EVERY, (k + 1) * _EVERY, thermal, state)
         return state, total + kinetic_energy(state[1]) + potential_energy(state[0], box)
 
-    looks = steps[0] // _LOOK
-    state, total = jax.lax.fori_loop(0, looks, look, ((x, v, forces(x, box)), jnp.zeros(len(seeds))))
+    samples = steps[0] // _EVERY
+    state, total = jax.lax.fori_loop(0, samples, accumulate, ((x, v, forces(x, box)), jnp.zeros(len(seeds))))
     x, v, force = state
-    wanted = total / looks - potential_energy(x, box)
+    wanted = total / samples - potential_energy(x, box)
     v = v * jnp.sqrt(jnp.maximum(wanted, 0.0) / kinetic_energy(v))[None, None, :]
     state = jax.lax.fori_loop(0, steps[1], lambda _, state: _verlet(state, box), (x, v, force))
     return *state, wanted > 0
@@ -133,7 +133,7 @@ def _simulate(seeds, particles, box, temperature, steps):
 
 @partial(jax.jit, static_argnums=(1, 2, 3))
 def _window(state, box, frames, between):
-    """`frames` frames of x and v, and the state `between` steps after the first of them."""
+    """Return the state `between` steps later, and x and v of the first `frames` frames."""
 
     def frame(state, _):
         seen = state[0] - box * jnp.round(state[0] / box), state[1]
@@ -147,12 +147,21 @@ def _window(state, box, frames, between):
 def simulate(
     seeds: np.ndarray, particles: int, density: float, temperature: float, lengths: Lengths, windows: int, frames: int
 ) -> Float[np.ndarray, "S W T d"]:
-    """Windows of `frames` frames, evenly spaced over the production run of each simulation.
+    """Simulate, and cut windows of `frames` frames, evenly spaced over the production run of each simulation.
 
-    Protocol of "Which priors matter?", appendix A.1.3: random places and velocities; descent; velocity Verlet with
+    Protocol of "Which priors matter?", appendix A.1.3: random positions and velocities; descent; velocity Verlet with
     steps of 0.002 τ and a Langevin thermostat (damping time 0.2 τ, no net random force); momenta scaled so that the
     energy is the mean of that run; a run at constant energy to settle; production. A frame is five steps, 0.01 τ.
-    The state is x₁, y₁, …, x_N, y_N, then the velocities; places are in [−L/2, L/2].
+    The state is x₁, y₁, …, x_N, y_N, then the velocities; positions are in [−L/2, L/2].
+
+    Args:
+        seeds: one for each simulation, [S].
+        particles: N.
+        density: ρ* = N / L², in σ⁻².
+        temperature: T*, in ε/k_B.
+        lengths: durations, in τ.
+        windows: W, cut from each simulation.
+        frames: T, of each window.
 
     Raises:
         KeycldError: the windows do not fit into the production run, or in a simulation the potential energy at the end

@@ -1,77 +1,41 @@
 """Systems simulated by MuJoCo: the runs of KeyCLD's protocol, from seeds."""
 
 import abc
-import ctypes
+import inspect
 import math
-import os
-import sys
 from contextlib import AbstractContextManager
 from functools import lru_cache
-from importlib import resources
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 
-from keycld._errors import KeycldError
 from keycld.systems.base import AbstractMechanism, Conditions, Drawer, Run
+from keycld.systems.mujoco.loading import import_mujoco, load_model
+from keycld.systems.mujoco.rendering import MujocoDrawer
 
 # Half of MuJoCo's default vertical field of view, 45 degrees.
 _HALF_VIEW = math.radians(22.5)
 _ZERO_INPUT_PROBABILITY = 0.2
-# Of starts near upright, and their deviation in radians and metres; that of velocities is 1 a second.
+# Initial states near upright: their share, and their deviation in radians and metres; that of velocities is 1 a second.
 _UPRIGHT_PROBABILITY = 0.5
 _UPRIGHT_SPREAD = 0.2
-# Of a random walk, by frame: it crosses its range in about 50 frames.
+# Step of the random walk as a part of the limit: it crosses its range in about 50 frames.
 _WALK = 0.15
 
 
-def no_gl(error: Exception) -> KeycldError:
-    """The error for a machine on which nothing can draw."""
-    reason = str(error).split(". ")[0].rstrip(".")  # some give a paragraph
-    return KeycldError(
-        f"nothing can draw here, because no OpenGL context could be made ({reason}): on Debian or Ubuntu install "
-        "libegl1 libgl1 libgles2 libgl1-mesa-dri, on a machine with a GPU its driver's EGL library; MUJOCO_GL "
-        "chooses another back end."
-    )
-
-
-def _choose_gl() -> None:
-    """On Linux, EGL, which draws without a screen; nothing where it is missing, so that simulation still works."""
-    if sys.platform.startswith("linux") and "MUJOCO_GL" not in os.environ:
-        try:
-            ctypes.CDLL("libEGL.so.1")
-            os.environ["MUJOCO_GL"] = "egl"
-        except OSError:
-            os.environ["MUJOCO_GL"] = "disable"
-
-
-def import_mujoco() -> Any:
-    """The `mujoco` module, or a sentence that says how to get it or its OpenGL libraries."""
-    _choose_gl()  # MuJoCo reads the variable once, when it is imported
-    try:
-        import mujoco
-    except ModuleNotFoundError as error:
-        raise KeycldError("this system needs MuJoCo: install it with pip install mujoco.") from error
-    except Exception as error:  # every GL library fails in its own way
-        raise no_gl(error) from error
-    return mujoco
-
-
-def load_model(name: str) -> Any:
-    """A new `MjModel` of `models/NAME.xml`."""
-    path = resources.files("keycld.systems").joinpath("models", f"{name}.xml")
-    return import_mujoco().MjModel.from_xml_path(str(path))
-
-
 @lru_cache(maxsize=8)
-def _simulated_model(name: str, clip: bool) -> Any:
-    model = load_model(name)
+def _simulated_model(file: Path, clip: bool) -> Any:
+    model = load_model(file)
     model.actuator_ctrllimited[:] = clip
     return model
 
 
 class AbstractMujocoSystem(AbstractMechanism):
     """A system whose state is MuJoCo's (qpos, qvel), seen by a camera that looks along +y with z up.
+
+    M(q) q̈ + c(q, q̇) = τ(q) + G u, without damping: MuJoCo's own equations for the model file. Positions are
+    metres and radians, energies joules. Source: KeyCLD (arXiv 2206.11030), appendix A.6, and dm_control's suite.
 
     Attributes:
         camera_height: of the fixed camera, metres.
@@ -83,21 +47,26 @@ class AbstractMujocoSystem(AbstractMechanism):
     camera_height: ClassVar[float]
     camera_distance: ClassVar[float]
 
+    @property
+    def model_file(self) -> Path:
+        """The MJCF file: NAME.xml next to the module of the class; camera 0 is the one that is rendered."""
+        return Path(inspect.getfile(type(self))).with_name(f"{self.name}.xml")
+
     @abc.abstractmethod
     def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        """Positions and velocities of dm_control's reset of the swing-up task."""
+        """Sample positions and velocities as dm_control's reset of the swing-up task does."""
 
     @abc.abstractmethod
     def positions(self, random: np.random.RandomState, slider_limit: float) -> np.ndarray:
-        """Positions anywhere: angles uniform in ±π, a slider in ± its limit (metres)."""
+        """Sample positions anywhere: angles uniform in ±π, a slider in ± its limit (metres)."""
 
     @property
-    def control_modes(self) -> tuple[str, ...]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """`"under"` and the names of single motors exist where there are two."""
+    def control_modes(self) -> tuple[str, ...]:
+        """All modes; `"under"` and the names of single motors exist where there are two."""
         return ("none", "full") if len(self.input_names) == 1 else ("none", "under", "full", *self.input_names)
 
     def to_image_plane(self, points: np.ndarray) -> np.ndarray:
-        """Image-plane units of world points `[..., 2]` = (x, z) in the plane y = 0, metres."""
+        """Return the image-plane coordinates of world points `[..., 2]` = (x, z) in the plane y = 0, metres."""
         half_height = self.camera_distance * math.tan(_HALF_VIEW)
         # The edges of the picture are at ±1 of the view, the centres of its outermost pixels half a pixel
         # inside.
@@ -109,7 +78,7 @@ class AbstractMujocoSystem(AbstractMechanism):
         u = random.uniform(-limit, limit, size=len(self.input_names))
         chosen = {"none": (), "under": self.input_names[:1], "full": self.input_names}
         acting = chosen.get(conditions.control, (conditions.control,))
-        idle = random.uniform() < _ZERO_INPUT_PROBABILITY
+        idle = (acting or conditions.idle_number) and random.uniform() < _ZERO_INPUT_PROBABILITY
         u[[idle or name not in acting for name in self.input_names]] = 0.0
         return u
 
@@ -126,7 +95,11 @@ class AbstractMujocoSystem(AbstractMechanism):
         return position, velocity
 
     def record(self, random: np.random.RandomState, frames: int, conditions: Conditions) -> Run:
-        """Draws, in this order: the input, one number that sets it to zero below 0.2, the start, a walk's steps."""
+        """Simulate one run from random numbers that are taken in a fixed order.
+
+        The order: the input; one number that sets it to zero below 0.2 (not where no input acts and `idle_number` is
+        False); the initial state; the steps of a random walk.
+        """
         self.check(conditions)
         u = self._input(random, conditions)
         state = np.concatenate(self._start(random, conditions))
@@ -138,12 +111,12 @@ class AbstractMujocoSystem(AbstractMechanism):
         return run._replace(input=walk[1:])
 
     def simulate(self, state: np.ndarray, u: np.ndarray, frames: int, *, clip: bool = True) -> Run:
-        """The motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame.
+        """Simulate the motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame.
 
         One physics step a frame, as in the paper; the first frame is the state **after** the first step.
         """
         mujoco = import_mujoco()
-        model = _simulated_model(self.name, clip)
+        model = _simulated_model(self.model_file, clip)
         data, probe = mujoco.MjData(model), mujoco.MjData(model)
         n = model.nq
         data.qpos[:], data.qvel[:] = state[:n], state[n:]
@@ -161,15 +134,15 @@ class AbstractMujocoSystem(AbstractMechanism):
 
     @abc.abstractmethod
     def tilts(self, state: np.ndarray) -> np.ndarray:
-        """How far each link leans from upright `[..., links]`, radians in ±π, for states `[..., d]`.
+        """Return the angle of each link from upright `[..., links]`, radians in ±π, for states `[..., d]`.
 
         Angles are absolute: a second link's is not counted from the first. The state of zeros stands upright.
         """
 
     def energies(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Kinetic and potential energy `[T]`, joules, of states `[T, d]`; the zero of heights is the floor's."""
+        """Return kinetic and potential energy `[T]`, joules, of states `[T, d]`; height is zero at z = 0."""
         mujoco = import_mujoco()
-        model = _simulated_model(self.name, True)
+        model = _simulated_model(self.model_file, True)
         data = mujoco.MjData(model)
         n = model.nq
         kinetic, potential = np.empty(len(state)), np.empty(len(state))
@@ -180,14 +153,12 @@ class AbstractMujocoSystem(AbstractMechanism):
         return kinetic, potential
 
     def drawer(self) -> AbstractContextManager[Drawer]:
-        """MuJoCo's own renderer."""
-        from keycld.systems.mujoco.rendering import MujocoDrawer
-
-        return MujocoDrawer(self.name, self.size)
+        """Return MuJoCo's own renderer for the model file."""
+        return MujocoDrawer(self.model_file, self.size)
 
 
 def random_walk(random: np.random.RandomState, start: np.ndarray, steps: int, limit: float) -> np.ndarray:
-    """Inputs `[steps, l]` that wander within ± `limit` from `start [l]`; those that start at zero stay there."""
+    """Sample inputs `[steps, l]` that wander within ± `limit` from `start [l]`; those that are 0 at first stay 0."""
     walk = start + np.concatenate(
         [np.zeros((1, len(start))), np.cumsum(_WALK * limit * random.randn(steps - 1, len(start)), axis=0)]
     )
@@ -197,10 +168,10 @@ def random_walk(random: np.random.RandomState, start: np.ndarray, steps: int, li
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:
-    """The same angles in ±π, radians."""
+    """Return the same angles in ±π, radians."""
     return (angles + np.pi) % (2 * np.pi) - np.pi
 
 
 def uniform_angles(random: np.random.RandomState, count: int) -> np.ndarray:
-    """Angles uniform in ±π, radians."""
+    """Sample angles uniform in ±π, radians."""
     return random.uniform(-np.pi, np.pi, size=count)

@@ -1,11 +1,11 @@
-"""The pendulum: a bob of 1 kg on a massless rod of 0.5 m, turned by a motor in its pivot."""
+"""The pendulum: a bob of 1 kg on a massless rod of 0.5 m, driven by a motor in its pivot."""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from keycld.systems.mujoco import sweeping
 from keycld.systems.base import SweepPath
+from keycld.systems.mujoco import sweeping
 from keycld.systems.mujoco.base import AbstractMujocoSystem, uniform_angles, wrapped
 from keycld.systems.registry import register
 
@@ -17,10 +17,12 @@ LENGTH = 0.5
 
 @register
 class Pendulum(AbstractMujocoSystem):
-    """m l² θ̈ = m g l sin θ + 2 u, with m = 1 kg, l = 0.5 m and θ = 0 upright (positive to the right).
+    """m l² θ̈ = m g l sin θ + 2 u, with m = 1 kg, l = 0.5 m, g = 9.81 m/s² and θ = 0 upright (positive to the right).
 
-    The paper's hardest of the three: the thinnest pole and speeds up to 27.6 rad/s. One keypoint, the bob,
-    at a fixed distance from the pivot at the image centre. Source: KeyCLD, appendix A.6 and Fig. 7.
+    Lagrangian L = m l² θ̇² / 2 − m g l cos θ; MuJoCo adds the bob's own inertia 2/5 m r², r = 0.05 m. State: θ in rad,
+    θ̇ in rad/s; input: u in N m before the gear of 2. The hardest of the paper's three systems: the thinnest pole and
+    speeds up to 27.6 rad/s. One keypoint, the bob, at a fixed distance from the pivot, which is the image centre.
+    Source: KeyCLD (arXiv 2206.11030), appendix A.6 and Fig. 7.
     """
 
     name = "pendulum"
@@ -40,25 +42,25 @@ class Pendulum(AbstractMujocoSystem):
         return Constraints(keypoints=self.keypoints, items=(DistanceToPoint("tip", (0.0, 0.0)),))
 
     def landmarks(self, state: np.ndarray) -> np.ndarray:
-        """The bob's centre."""
+        """Return the centre of the bob `[..., 1, 2]`."""
         angle = state[..., 0]
         tip = np.stack([LENGTH * np.sin(angle), self.camera_height + LENGTH * np.cos(angle)], axis=-1)
         return self.to_image_plane(tip[..., None, :])
 
     def tilts(self, state: np.ndarray) -> np.ndarray:
-        """The rod's angle."""
+        """Return the angle of the rod."""
         return wrapped(state[..., :1])
 
     def rest(self, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
-        """Any angle, no velocity."""
+        """Sample any angle; the velocity is zero."""
         return uniform_angles(random, 1), np.zeros(1)
 
     def positions(self, random: np.random.RandomState, slider_limit: float) -> np.ndarray:
-        """Any angle."""
+        """Sample any angle."""
         return uniform_angles(random, 1)
 
     def sweeps(self) -> tuple[SweepPath, ...]:
-        """A full turn (Fig. 8) and 16 angles."""
+        """Return a full turn (Fig. 8) and 16 angles."""
         return (
             sweeping.path(self.state_names, "rotation", {"angle": sweeping.FULL_TURN}, {}),
             sweeping.grid(self.state_names, "grid", {"angle": sweeping.FULL_TURN}),

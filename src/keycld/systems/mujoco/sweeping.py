@@ -14,13 +14,13 @@ FULL_TURN = (-np.pi, np.pi)
 def path(
     state_names: Sequence[str], name: str, vary: Mapping[str, tuple[float, float]], fixed: Mapping[str, float]
 ) -> SweepPath:
-    """64 states at rest along one coordinate; all that is not named is zero.
+    """Return 64 states at rest along one coordinate; all that is not named is zero.
 
     Args:
-        state_names: the system's.
+        state_names: names of all components of the state.
         name: of the path.
-        vary: one coordinate's name with its first and its last value, both taken.
-        fixed: other coordinates' values.
+        vary: the name of one coordinate with its first and its last value, both included.
+        fixed: values of other coordinates.
     """
     (varied, (low, high)), *_ = vary.items()
     state = np.zeros((PATH_POINTS, len(state_names)))
@@ -31,7 +31,7 @@ def path(
 
 
 def grid(state_names: Sequence[str], name: str, vary: Mapping[str, tuple[float, float]]) -> SweepPath:
-    """16 values of each coordinate in `vary`, every combination, the last coordinate changing fastest."""
+    """Return all combinations of 16 values of each coordinate in `vary`, the last coordinate changing fastest."""
     axes = [np.linspace(low, high, GRID_POINTS) for low, high in vary.values()]
     points = np.stack([axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")], axis=-1)
     state = np.zeros((len(points), len(state_names)))

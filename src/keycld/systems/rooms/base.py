@@ -1,4 +1,4 @@
-"""A camera that circles above a room: the sets `room/circle` and `room/spiral`."""
+"""A camera that moves above a room with still objects."""
 
 import abc
 import math
@@ -10,25 +10,23 @@ from jaxtyping import Float
 
 from keycld.systems.base import Drawer
 from keycld.systems.pictures import Pictures, draw_in_worker
-from keycld.systems.registry import register
-from keycld.systems.sampled import PAPER, AbstractSampledSystem, Recording
+from keycld.systems.rooms.rendering import RoomDrawer
 from keycld.systems.rooms.scene import draw_scene, scene_vector
+from keycld.systems.sampled import PAPER, AbstractSampledSystem, Recording
 
 _STEP = math.radians(0.1)
-# φ^(1/90°): the radius of a golden spiral grows by this factor a degree.
-_GROWTH = 1.0053611
 
 
 class AbstractRoom(AbstractSampledSystem, abc.ABC):
     """Five still objects in a room, seen from the unit hemisphere above its centre, which the camera always faces.
 
-    A frame is 0.1° of angle. The state is the camera's place and its velocity by finite differences. Source: "Which
-    priors matter?", section 4.4 and appendix A.1.4, which leave the room, its objects' sizes and places, lights, the
-    field of view and dt open: those are ours. Where the text has z = 1 − r, the camera's height here is √(1 − r²),
-    for the camera is to stay on the hemisphere.
+    (x, y, z) = (r cos θ, r sin θ, √(1 − r²)), θ growing by 0.1° a frame. State: the camera's place, in units of its
+    distance from the centre, and its velocity by finite differences. Source: "Which priors matter?" (arXiv
+    2111.05458), section 4.4 and appendix A.1.4, which leave the room, its objects' sizes and places, lights, the field
+    of view and dt open: those are ours. The text has z = 1 − r, which is not on the hemisphere.
 
     Attributes:
-        largest_start: of the first radius, which is drawn uniformly from 0 on.
+        largest_start: of the first radius, which is sampled uniformly from 0 on.
     """
 
     dt: ClassVar[float] = 0.05
@@ -40,14 +38,14 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
 
     @abc.abstractmethod
     def radius(self, start: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        """Distance of the camera from the vertical axis after turning by `turned` radians."""
+        """Return the camera's distance from the vertical axis after turning by `turned` radians."""
 
     def group(self, frames: int, size: str, images: bool) -> int:
-        """Some seconds of drawing on a CPU."""
+        """Return as many as are some seconds of rendering on a CPU."""
         return max(1, 8192 // frames)
 
     def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
-        """Each trajectory draws its room, then radius and angle of the camera, from `RandomState(number)`."""
+        """Sample for each trajectory its room, then radius and angle of the camera, from `RandomState(number)`."""
         states, drawn = [], []
         for number in numbers:
             random = np.random.RandomState(number)
@@ -62,7 +60,7 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
         return Recording(self.dt * np.arange(frames), np.stack(states), parameters)
 
     def pictures(self, recording: Recording) -> Pictures:
-        """Drawn by MuJoCo; in a worker process only, which then draws nothing but this set."""
+        """Render with MuJoCo; in a worker process only, which then renders nothing but this set."""
         count, frames = recording.state.shape[:2]
         seen = []
         for i in range(count):
@@ -74,44 +72,5 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
         return Pictures(image.reshape(count, frames, *image.shape[1:]), renderer)
 
     def drawer(self) -> AbstractContextManager[Drawer]:
-        """MuJoCo's renderer, with the room refurnished for each trajectory."""
-        from keycld.systems.rooms.scene import RoomDrawer
-
+        """Return MuJoCo's renderer, with the room refurnished for each trajectory."""
         return RoomDrawer(self.size)
-
-
-@register
-class RoomCircle(AbstractRoom):
-    """A camera on a parallel of the unit hemisphere: (r cos θ, r sin θ, √(1−r²)), θ growing by 0.1° a frame.
-
-    It looks at the centre of a square room with five still objects: spheres, capsules, cylinders, boxes. Floor, wall
-    and objects have random colours, the radius r is uniform in 0 to 0.9, the first angle uniform. State: the camera's
-    place and velocity. 256 frames sweep 25.6°, so pictures turn slowly. Source: "Which priors matter?" (arXiv
-    2111.05458), section 4.4 and appendix A.1.4. No code or scene was released: the room (3.2 × 3.2 × 1.5), the objects
-    (radii 0.08 to 0.16, within 0.65 of the centre), a lamp without shadows and a light at the camera, a field of view
-    of 75° and dt = 0.05 are choices of ours.
-    """
-
-    name = "room/circle"
-    largest_start = 0.9
-
-    def radius(self, start: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        """Constant."""
-        return np.full_like(turned, start)
-
-
-@register
-class RoomSpiral(AbstractRoom):
-    """A camera on a golden spiral down the unit hemisphere: r = a c^θ, c = 1.0053611 a degree, 0.1° a frame.
-
-    The same rooms as in `room/circle`; the first radius a is uniform in 0 to 0.6 and grows by 14.7 % in 256 frames.
-    State: the camera's place and velocity. Source: "Which priors matter?" (arXiv 2111.05458), section 4.4 and
-    appendix A.1.4; what these leave open is as in `room/circle`.
-    """
-
-    name = "room/spiral"
-    largest_start = 0.6
-
-    def radius(self, start: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
-        """Grows exponentially."""
-        return start * _GROWTH ** np.degrees(turned)
