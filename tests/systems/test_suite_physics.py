@@ -116,8 +116,8 @@ def test_a_trajectory_does_not_depend_on_its_neighbours():
 def test_landmarks_lie_on_the_discs(name):
     system = get(name)
     if not system.keypoints:
-        with pytest.raises(KeycldError, match="suggests no keypoints"):
-            _ = system.constraints
+        assert "colors" in name and system.constraints is None
+        assert system.landmarks(record(name).state).shape == (4, 64, 0, 2)
         return
     assert system.constraints.keypoints == system.keypoints
     recording = record(name)

@@ -106,7 +106,8 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
     def landmarks(self, state: np.ndarray) -> np.ndarray:
         """Return the centres of the discs `[..., K, 2]`; K is 0 for the "+c" sets.
 
-        The state does not tell the random places of those. The y axis of the pictures points down, that of the image plane up.
+        The state does not tell the random places of those. The y axis of the pictures points down, that of the image
+        plane up.
         """
         if not self.keypoints:
             return super().landmarks(state)
