@@ -94,12 +94,13 @@ class Experiment:
 
     def hash(self) -> str:
         """Of all that decides the outcome: model, preset, all its settings, seed, constraints, data recipe."""
+        suggested = systems.get(self.data.system).constraints
         decides = {
             "model": self.model,
             "preset": self.preset,
             "settings": self.recipe().settings(),
             "seed": self.seed,
-            "constraints": dump_constraints(systems.get(self.data.system).constraints),
+            "constraints": None if suggested is None else dump_constraints(suggested),
             "data": dataclasses.asdict(self.data),
         }
         return digest(decides)

@@ -67,7 +67,7 @@ class Acrobot(AbstractMujocoSystem):
         return uniform_angles(random, 2)
 
     def sweeps(self) -> tuple[SweepPath, ...]:
-        """Return a turn of the stretched arm (Fig. 11), one of the elbow with the upper arm hanging (Fig. 12), a grid."""
+        """Return a turn of the stretched arm (Fig. 11), one of the elbow with a hanging upper arm (Fig. 12), a grid."""
         return (
             sweeping.path(self.state_names, "shoulder", {"shoulder": sweeping.FULL_TURN}, {"elbow": 0.0}),
             sweeping.path(self.state_names, "elbow", {"elbow": sweeping.FULL_TURN}, {"shoulder": np.pi}),
