@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.systems.sampled import AbstractDrawnSystem, Recording, in_lanes
 
-_MOST_DRAWS = 1000
+_MOST_SAMPLES = 1000
 
 
 class AbstractInitialValueSystem(AbstractDrawnSystem):
@@ -42,25 +42,23 @@ class AbstractInitialValueSystem(AbstractDrawnSystem):
         """Sample, solve, and sample again those that are not accepted; the parameter `draws` counts the samples."""
         randoms = [np.random.RandomState(number) for number in numbers]
         time = self.dt * np.arange(frames)
-        drawn = [self.start(random, protocol) for random in randoms]
-        start = np.stack([state for state, _ in drawn])
-        parameters = {name: np.stack([given[name] for _, given in drawn]) for name in drawn[0][1]}
+        sampled = [self.start(random, protocol) for random in randoms]
+        start = np.stack([state for state, _ in sampled])
+        parameters = {name: np.stack([given[name] for _, given in sampled]) for name in sampled[0][1]}
         state = self.move(start, parameters, time)
         draws = np.ones(len(randoms), int)
         again = np.flatnonzero(~self.accepts(state, parameters))
         while len(again):
-            if draws.max() == _MOST_DRAWS:
-                raise KeycldError(
-                    f"{self.name} accepts none of {_MOST_DRAWS} samples of a trajectory: correct `start` or `accepts`."
-                )
+            if draws.max() == _MOST_SAMPLES:
+                raise KeycldError(f"{self.name} accepts none of {_MOST_SAMPLES} samples: correct `start` or `accepts`.")
             for i in again:
                 start[i], given = self.start(randoms[i], protocol)
                 for name, value in given.items():
                     parameters[name][i] = value
-            redrawn = {name: value[again] for name, value in parameters.items()}
-            state[again] = self.move(start[again], redrawn, time)
+            resampled = {name: value[again] for name, value in parameters.items()}
+            state[again] = self.move(start[again], resampled, time)
             draws[again] += 1
-            again = again[~self.accepts(state[again], redrawn)]
+            again = again[~self.accepts(state[again], resampled)]
         return Recording(time, state, {"seed": np.array(numbers), "draws": draws, **parameters})
 
     def move(

@@ -51,10 +51,11 @@ class _Worker:
         )
         # Connection frames whole pickled objects and can wait with a time-out, which plain pipes cannot.
         stdin, stdout = self._process.stdin, self._process.stdout
-        self._tasks = Connection(os.dup(stdin.fileno()), readable=False)  # pyright: ignore
-        self._answers = Connection(os.dup(stdout.fileno()), writable=False)  # pyright: ignore
-        stdin.close()  # pyright: ignore
-        stdout.close()  # pyright: ignore
+        assert stdin is not None and stdout is not None
+        self._tasks = Connection(os.dup(stdin.fileno()), readable=False)
+        self._answers = Connection(os.dup(stdout.fileno()), writable=False)
+        stdin.close()
+        stdout.close()
 
     def run(self, task: Task, time_out: float) -> Any:
         """Return the result of the task; raise what the task raised, or `_Lost`."""

@@ -61,7 +61,7 @@ class AbstractSampledSystem(AbstractSystem):
     def related(self, size: str) -> int:
         """Return how many consecutive numbers, counted from a multiple, are parts of one simulation.
 
-        Such trajectories know of each other, so no two files share them; 1 where all are independent.
+        Such trajectories are correlated, so they never lie in two files; 1 where all are independent.
         """
         return 1
 

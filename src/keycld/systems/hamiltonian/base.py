@@ -127,8 +127,8 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
         released ones sample them too. `placed`: each of x and y is shifted by up to ± 0.4 half widths and the
         canvas is larger by as much.
         """
-        drawn = self.varied or protocol == RELEASED
-        colours = distinct(random, discs, self.hues) if drawn else np.arange(discs)
+        any_colour = self.varied or protocol == RELEASED
+        colours = distinct(random, discs, self.hues) if any_colour else np.arange(discs)
         reach = _ROOM * self.half_width if placed else 0.0
         return {
             "color_index": colours,

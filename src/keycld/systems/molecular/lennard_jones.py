@@ -16,7 +16,7 @@ from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording
 
 _LENGTHS = {"default": simulation.Lengths(1e3, 1e3, 2.5e3), "full": simulation.Lengths(1e4, 1e4, 2.5e4)}
-# Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they hardly know of each other.
+# Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they are nearly independent.
 WINDOWS = {"default": 70, "full": 700}
 # Simulations side by side: vector registers are full, and all of a step's arrays stay in the fastest cache.
 _TOGETHER = 8
@@ -79,8 +79,8 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         return Recording(self.dt * np.arange(frames), state, parameters)
 
     def _paired(self, state: Float[Array, "d"]) -> tuple[Float[Array, "2 N 1"], Float[Array, "2 N 1"]]:
-        x, v = jnp.split(state, 2)
-        return tuple(a.reshape(-1, 2).T[:, :, None] for a in (x, v))  # pyright: ignore[reportReturnType]
+        x, v = (a.reshape(-1, 2).T[:, :, None] for a in jnp.split(state, 2))
+        return x, v
 
     def derivative(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
         """Return velocities and forces."""

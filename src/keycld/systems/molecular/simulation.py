@@ -103,7 +103,7 @@ def _noise(keys: Array, step: Array, particles: int) -> Array:
 
 @partial(jax.jit, static_argnums=(1, 2, 3, 4))
 def _simulate(seeds, particles, box, temperature, steps):
-    """Return x and v `[2, N, S]` after settling, their forces, and whether the energy could be met `[S]`."""
+    """Return x and v `[2, N, S]` after settling, their forces, and whether the energy can be reached `[S]`."""
     keys = jax.vmap(jax.random.key)(seeds)
     place, speed, bath = jnp.unstack(jax.vmap(lambda key: jax.random.split(key, 3))(keys), axis=1)
     shape = (2, particles)
@@ -174,9 +174,9 @@ def simulate(
         raise KeycldError(
             f"{windows} windows of {frames} frames do not fit into {lengths.production:g} τ: take fewer or longer runs."
         )
-    *state, met = _simulate(jnp.asarray(seeds), particles, box, temperature, steps[:2])
-    if not np.all(met):
-        raise KeycldError(f"simulation {seeds[np.argmin(met)]} cannot reach its mean energy: leave it out.")
+    *state, reached = _simulate(jnp.asarray(seeds), particles, box, temperature, steps[:2])
+    if not np.all(reached):
+        raise KeycldError(f"simulation {seeds[np.argmin(reached)]} cannot reach its mean energy: leave it out.")
     out = np.empty((len(seeds), windows, frames, 4 * particles))
     for w in range(windows):
         state, x, v = _window(tuple(state), box, frames, between)

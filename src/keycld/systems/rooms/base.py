@@ -46,7 +46,7 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
 
     def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
         """Sample for each trajectory its room, then radius and angle of the camera, from `RandomState(number)`."""
-        states, drawn = [], []
+        states, parameters = [], []
         for number in numbers:
             random = np.random.RandomState(number)
             scene = draw_scene(random)
@@ -55,9 +55,9 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
             r = self.radius(radius, turned)
             place = np.stack([r * np.cos(angle + turned), r * np.sin(angle + turned), np.sqrt(1 - r**2)], axis=-1)
             states.append(np.concatenate([place[:-1], np.diff(place, axis=0) / self.dt], axis=-1))
-            drawn.append({"seed": np.array(number), "radius": np.array(radius), "angle": np.array(angle), **scene})
-        parameters = {name: np.stack([each[name] for each in drawn]) for name in drawn[0]}
-        return Recording(self.dt * np.arange(frames), np.stack(states), parameters)
+            parameters.append({"seed": np.array(number), "radius": np.array(radius), "angle": np.array(angle), **scene})
+        stacked = {name: np.stack([each[name] for each in parameters]) for name in parameters[0]}
+        return Recording(self.dt * np.arange(frames), np.stack(states), stacked)
 
     def pictures(self, recording: Recording) -> Pictures:
         """Render with MuJoCo; in a worker process only, which then renders nothing but this set."""

@@ -11,7 +11,7 @@ SHAPES = ("sphere", "capsule", "cylinder", "box")
 # Objects stand within this distance of the room's centre, so that the camera, at distance 1, never meets one.
 _SPREAD = 0.65
 _GAP = 0.03
-_MOST_DRAWS = 10_000
+_MOST_SAMPLES = 10_000
 # A scene as one vector: colours of floor and wall; then for each object shape, place, yaw, three sizes, colour.
 COLOURS, OBJECT = 6, 10
 
@@ -52,7 +52,7 @@ def _colour(random: np.random.RandomState, dull: float, bright: float) -> np.nda
 def _places(random: np.random.RandomState, reach: np.ndarray) -> np.ndarray:
     """Sample places on the floor, uniform over the disc, all of them again until none touch."""
     needed = reach[:, None] + reach[None, :] + _GAP
-    for _ in range(_MOST_DRAWS):
+    for _ in range(_MOST_SAMPLES):
         distance, angle = _SPREAD * np.sqrt(random.uniform(size=OBJECTS)), random.uniform(0, 2 * math.pi, size=OBJECTS)
         place = np.stack([distance * np.cos(angle), distance * np.sin(angle)], axis=-1)
         gaps = np.linalg.norm(place[:, None] - place[None, :], axis=-1) + np.eye(OBJECTS)
