@@ -28,10 +28,10 @@ def test_without_friction_something_is_conserved(name):
 def test_friction_takes_its_share_of_energy(name):
     """dH/dt = −λ |∂H/∂p|², by Simpson's rule over three seconds."""
     system = get(name)
-    drawn = [system.start(np.random.RandomState(seed), "priors-released") for seed in range(4)]
-    parameters = {key: np.stack([given[key] for _, given in drawn]) for key in drawn[0][1]}
+    sampled = [system.start(np.random.RandomState(seed), "priors-released") for seed in range(4)]
+    parameters = {key: np.stack([given[key] for _, given in sampled]) for key in sampled[0][1]}
     times = np.linspace(0.0, 3.0, 401)
-    state = system.move(np.stack([start for start, _ in drawn]), parameters, times)
+    state = system.move(np.stack([start for start, _ in sampled]), parameters, times)
     energy = system.all_conserved(state, parameters)
     velocity = system.derivatives(state, parameters)[..., : state.shape[-1] // 2]
     power = -system.friction * np.sum(velocity**2, axis=-1)
@@ -52,7 +52,7 @@ def test_closed_forms_solve_the_equations(name):
 
 @pytest.mark.parametrize("speed", [0.0, 0.5, 1.0, np.sqrt(2.0), 2.0])
 def test_kepler_on_every_conic(speed):
-    """From straight fall over circle and parabola to hyperbola; energy, angular momentum, and the way back."""
+    """From straight fall over circle and parabola to hyperbola; energy, angular momentum, and the motion backward."""
     start, velocity = np.array([1.0, 0.0]), np.array([0.0, speed])
     with jax.enable_x64(True):
         times = jnp.array([0.0, 1e-6, 0.7, 1.0 if speed == 0 else 30.0])
@@ -74,11 +74,11 @@ def test_two_bodies_without_colours_go_in_circles():
     np.testing.assert_allclose(radius, np.broadcast_to(radius[:, :1], radius.shape), rtol=1e-12)
 
 
-def test_orbits_that_leave_the_canvas_are_drawn_again():
+def test_orbits_that_leave_the_canvas_are_sampled_again():
     recording = record("toy/two_body_colors", count=400, frames=256)
     assert np.abs(recording.state[..., :4]).max() <= 5.0
     draws = recording.parameters["draws"]
-    # 78 % are accepted, so a trajectory takes 1.28 draws on average, with a deviation of 0.6.
+    # 78 % are accepted, so a trajectory takes 1.28 samples on average, with a deviation of 0.6.
     assert draws.mean() == pytest.approx(1.28, abs=4 * 0.6 / 20) and draws.max() > 1
     alone = get("toy/two_body_colors").record(range(7, 9), 256, "priors-released", "default")
     np.testing.assert_allclose(alone.state, recording.state[7:9], atol=1e-12)

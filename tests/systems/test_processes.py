@@ -1,4 +1,4 @@
-"""Worker processes: what goes wrong in one is told, once, in the caller."""
+"""Worker processes: an error in one is reported once, in the caller."""
 
 import os
 import time
@@ -58,7 +58,7 @@ def test_a_dead_worker_gets_one_more_try(tmp_path):
         list(run_in_processes([Task(die_always, ())]))
 
 
-def test_a_hanging_worker_is_given_up():
+def test_a_hanging_worker_is_ended():
     with pytest.raises(KeycldError, match="failed twice"):
         list(run_in_processes([Task(hang, ())], time_out=0.3))
 

@@ -63,9 +63,9 @@ def test_pictures(name):
 def test_canvas(name):
     """The half width of ours, with the room for random places where there is any, is the suite's."""
     system, (found, _) = get(name), golden(name)
-    _, drawn = system.start(np.random.RandomState(0), "priors-released")
-    assert drawn["canvas"] == pytest.approx(found["canvas_limits"][1], rel=1e-12)
-    assert drawn["color_index"].shape == found["color_index"].shape[1:]
+    _, sampled = system.start(np.random.RandomState(0), "priors-released")
+    assert sampled["canvas"] == pytest.approx(found["canvas_limits"][1], rel=1e-12)
+    assert sampled["color_index"].shape == found["color_index"].shape[1:]
 
 
 @pytest.mark.parametrize("name", RENDERED)
@@ -75,8 +75,8 @@ def test_the_renderer_alone(name):
 
     def draw(kind):
         fixed = [jnp.asarray(case["radii"], kind), jnp.asarray(colours, kind), jnp.asarray(case["canvas_limits"], kind)]
-        drawn = jax.jit(jax.vmap(lambda centres: to_bytes(soft_discs(centres, *fixed))))
-        return np.asarray(drawn(jnp.asarray(case["positions"], kind)))
+        rendered = jax.jit(jax.vmap(lambda centres: to_bytes(soft_discs(centres, *fixed))))
+        return np.asarray(rendered(jnp.asarray(case["positions"], kind)))
 
     with jax.enable_x64(True):
         np.testing.assert_array_equal(draw(jnp.float64), case["image_uint8"])
