@@ -4,7 +4,6 @@ import importlib
 import pkgutil
 from typing import TypeVar
 
-import keycld.systems
 from keycld._errors import unknown
 from keycld.systems.base import AbstractSystem
 
@@ -25,7 +24,8 @@ def register(system: type[S]) -> type[S]:
 
 def _import_systems() -> None:
     """Import every module of every folder; each registers its systems."""
-    for kind in pkgutil.iter_modules(keycld.systems.__path__, "keycld.systems."):
+    package = importlib.import_module("keycld.systems")
+    for kind in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         if kind.ispkg:
             folder = importlib.import_module(kind.name)
             for module in pkgutil.iter_modules(folder.__path__, f"{kind.name}."):

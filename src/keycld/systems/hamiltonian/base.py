@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld.systems import discs
+from keycld.systems.discs import NAME, VERSION, hue_colours, soft_discs
 from keycld.systems.distributions import distinct
 from keycld.systems.initial_values import AbstractInitialValueSystem
 from keycld.systems.sampled import PAPER, PUBLISHED_COUNTS, RELEASED, map_states
@@ -40,8 +40,8 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
 
     dt: ClassVar[float] = 0.05
     protocols: ClassVar[tuple[str, ...]] = (RELEASED, PAPER)
-    renderer: ClassVar[str] = discs.NAME
-    renderer_version: ClassVar[int] = discs.VERSION
+    renderer: ClassVar[str] = NAME
+    renderer_version: ClassVar[int] = VERSION
     counts = PUBLISHED_COUNTS
     ranges: ClassVar[Mapping[str, tuple[float, float]]]
     varied: ClassVar[bool] = False
@@ -88,9 +88,9 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
     def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render soft discs of area m and hue `color_index` / `hues`."""
         radii = jnp.sqrt(self.masses(parameters) / math.pi)
-        colours = jnp.asarray(discs.hue_colours(self.hues), seen.dtype)[parameters["color_index"]]
+        colours = jnp.asarray(hue_colours(self.hues), seen.dtype)[parameters["color_index"]]
         canvas = parameters["canvas"] * jnp.array([-1.0, 1.0], seen.dtype)
-        return discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
+        return soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
 
     @property
     def constraints(self) -> "keycld.mechanics.Constraints | None":

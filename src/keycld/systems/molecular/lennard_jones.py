@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld.systems import discs
+from keycld.systems.discs import NAME, VERSION, hue_colours, soft_discs
 from keycld.systems.molecular import simulation
 from keycld.systems.registry import register
 from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording
@@ -43,8 +43,8 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
 
     dt: ClassVar[float] = simulation.STEPS_A_FRAME * simulation.TIME_STEP
     protocols: ClassVar[tuple[str, ...]] = (PAPER,)
-    renderer: ClassVar[str] = discs.NAME
-    renderer_version: ClassVar[int] = discs.VERSION
+    renderer: ClassVar[str] = NAME
+    renderer_version: ClassVar[int] = VERSION
     counts = {"default": {"train": 5_600, "test": 1_400}, "full": {"train": 50_000, "test": 20_000}}
     particles: ClassVar[int]
     density: ClassVar[float]
@@ -99,8 +99,8 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         """Render discs of hue k/N, particle 0 on top, cut at the border: periodic images are not shown."""
         canvas = self.box / 2 * jnp.array([-1.0, 1.0], seen.dtype)
         radii = jnp.full(self.particles, self.radius, seen.dtype)
-        colours = jnp.asarray(discs.hue_colours(self.particles), seen.dtype)
-        return discs.soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
+        colours = jnp.asarray(hue_colours(self.particles), seen.dtype)
+        return soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
 
 
 @register
