@@ -80,7 +80,7 @@ def test_small_training_sets_give_a_tenth_to_validation():
 def test_simulations_of_molecules_are_not_shared_between_files(size, tmp_path):
     """Neighbouring windows of one simulation know of each other."""
     system = get("md/lj_4")
-    from keycld.systems.catalogue.lennard_jones import WINDOWS
+    from keycld.systems.molecular.lennard_jones import WINDOWS
 
     splits = sampled_splits(system, size)
     simulations = [{number // WINDOWS[size] for number in range(*split.seeds)} for split in splits]

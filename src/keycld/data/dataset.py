@@ -126,13 +126,18 @@ class DataSet:
         """The constraints on the keypoints.
 
         Raises:
-            KeycldError: there is neither a constraints file nor a known system.
+            KeycldError: there is neither a constraints file nor a known system that suggests keypoints.
         """
         if self.constraints_file is not None:
             from keycld.mechanics import load_constraints
 
             return load_constraints(self.constraints_file)
-        return self._known_system().constraints
+        system = self._known_system()
+        if system.constraints is None:
+            raise KeycldError(
+                f"{system.name} suggests no keypoints: give your own with --constraints FILE.toml (docs/data.md)."
+            )
+        return system.constraints
 
     @property
     def keypoints(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Which runs a data set holds: the papers' protocols, and the splits that nothing is tuned on."""
+"""The runs that a data set holds: the protocols of the papers, and the splits that nothing is tuned on."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -13,9 +13,13 @@ from keycld.systems import Conditions
 class Split:
     """Runs of one file.
 
-    **Fields:** `name` (the file is NAME.h5); `seeds` `(first, last + 1)`, one generator
-    `numpy.random.RandomState(seed)` a run; `frames` of each run; `conditions`; `screened`: runs that leave
-    the image or turn more than 1 rad between two frames are drawn again from the same generator.
+    Attributes:
+        name: the file is NAME.h5.
+        seeds: `(first, last + 1)`, one generator `numpy.random.RandomState(seed)` a run.
+        frames: of each run.
+        conditions: inputs and initial states.
+        screened: whether runs that leave the image or turn more than 1 rad between two frames are sampled again from
+            the same generator.
     """
 
     name: str
@@ -25,13 +29,13 @@ class Split:
     screened: bool = False
 
     def __len__(self) -> int:
-        """The number of runs."""
+        """Return the number of runs."""
         return self.seeds[1] - self.seeds[0]
 
 
 _CONDITIONS: Mapping[str, Conditions] = {
     "keycld-2022": Conditions(),
-    "keycld-2024": Conditions(start="random", input_limit=2.0, clip=False),
+    "keycld-2024": Conditions(start="random", input_limit=2.0, clip=False, idle_number=False),
 }
 PROTOCOLS = tuple(_CONDITIONS)
 # Seeds 0 ... 499 are the papers' (the last 50 for validation); no choice is ever made on the two test splits.
@@ -50,12 +54,21 @@ def splits(
     runs: Mapping[str, int] | None = None,
     frames: Mapping[str, int] | None = None,
 ) -> tuple[Split, ...]:
-    """The splits of a protocol.
+    """Return the splits of a protocol.
 
-    **Arguments:** `control`, `start`, `clip`, `input` replace the protocol's; `runs`, `frames`: numbers by split,
-    for smaller sets (a run's content depends on its seed and its length only).
+    Args:
+        protocol: one of `PROTOCOLS`.
+        control: which inputs act, instead of the protocol's choice.
+        start: the initial states, instead of the protocol's choice.
+        clip: whether the motors limit the input, instead of the protocol's choice.
+        input: `"constant"` or `"random-walk"`, instead of the protocol's choice.
+        runs: numbers of runs by split, for smaller sets (a run depends on its seed and its length only).
+        frames: numbers of frames by split.
 
-    **Raises:** `KeycldError` for an unknown protocol or split, or a number below 1 run or 3 frames.
+    Raises:
+        KeycldError: an unknown protocol or split, or a number below 1 run or 3 frames.
+
+    Good values: the defaults; `runs` and `frames` are for tests.
     """
     if protocol not in _CONDITIONS:
         raise unknown("protocol", protocol, PROTOCOLS)

@@ -1,5 +1,6 @@
-"""Data sets of sampled systems: which trajectories they hold, the work of one process, and their figures."""
+"""Data sets of sampled systems: the trajectories that they hold, and the work of one process."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,7 +15,7 @@ from keycld.data.store import Trajectories, write
 from keycld.systems import AbstractDrawnSystem, AbstractSampledSystem, Task
 
 Store = Literal["states", "images"]
-# Far enough apart that no file ever meets another's numbers, and multiples of a simulation's windows.
+# Far enough apart that no two files share a number, and multiples of the windows of a simulation.
 _FIRST_NUMBER = {"train": 0, "test": 2_100_000, "test_long": 4_200_000}
 _FRAMES = {"train": 256, "test": 256, "test_long": 1000}
 _MOST_VALIDATION = 1000
@@ -29,7 +30,7 @@ class SampledSplit:
     frames: int
 
     def __len__(self) -> int:
-        """The number of trajectories."""
+        """Return the number of trajectories."""
         return self.seeds[1] - self.seeds[0]
 
 
@@ -40,13 +41,21 @@ def sampled_splits(
     runs: Mapping[str, int] | None = None,
     frames: Mapping[str, int] | None = None,
 ) -> tuple[SampledSplit, ...]:
-    """The files of a sampled system's data set.
+    """Return the files of a sampled system's data set.
 
-    `validation` is the last 1,000 training trajectories, a tenth of them where there are fewer than 10,000; `train`
-    counts both. Good values: the default sizes.
+    `validation` is the last 1,000 training trajectories, a tenth of them where there are fewer than 10,000. Where
+    several trajectories are parts of one simulation, it is enlarged until no simulation is in both files.
+
+    Args:
+        system: the system.
+        size: `"default"` or `"full"`.
+        runs: numbers of trajectories by split; "train" counts those of validation too.
+        frames: numbers of frames by split.
 
     Raises:
         KeycldError: an unknown size or split, or a number that is too small.
+
+    Good values: the default sizes.
     """
     if size not in system.counts:
         raise unknown("size", size, system.counts)
@@ -59,7 +68,7 @@ def sampled_splits(
             if number < max(least, 2 if name == "train" and what == "trajectories" else 0):
                 raise KeycldError(f"{name} needs at least {max(least, 2)} {what}, not {number}.")
             numbers[name] = number
-    kept = counts["train"] - validation_count(counts["train"])
+    kept = _border(system, size, counts["train"])
     splits = [
         SampledSplit("train", (0, kept), lengths["train"]),
         SampledSplit("validation", (kept, counts["train"]), lengths["train"]),
@@ -71,8 +80,20 @@ def sampled_splits(
 
 
 def validation_count(train: int) -> int:
-    """How many of the last training trajectories are for validation: 1,000, a tenth of fewer than 10,000."""
+    """Return how many of `train` trajectories are for validation: 1,000, a tenth of fewer than 10,000."""
     return min(_MOST_VALIDATION, max(1, train // 10))
+
+
+def _border(system: AbstractSampledSystem, size: str, train: int) -> int:
+    """Return the number of the first validation trajectory among `train` numbers; a border between simulations."""
+    related = system.related(size)
+    if train <= related:
+        raise KeycldError(
+            f"{system.name} stores {related} trajectories of each simulation (size {size}), and train and validation "
+            f"share none: train needs at least {related + 1} trajectories, or {2 * related} for two whole "
+            f"simulations, not {train}."
+        )
+    return max(1, (train - validation_count(train)) // related) * related
 
 
 def sampled_job(
@@ -85,17 +106,17 @@ def sampled_job(
     runs: Mapping[str, int] | None,
     frames: Mapping[str, int] | None,
 ) -> tuple[dict[str, Any], list[Part]]:
-    """What decides the data set's contents, and the parts of the work.
+    """Return what decides the data set's contents, and the parts of the work.
 
     Raises:
-        KeycldError: an unknown protocol, size or split, a bad number, or states where only MuJoCo can draw them.
+        KeycldError: an unknown protocol, size or split, a bad number, or states where only MuJoCo can render them.
     """
     protocol = protocol or system.protocols[0]
     if protocol not in system.protocols:
         raise unknown(f"protocol of {system.name}", protocol, system.protocols)
     drawn = isinstance(system, AbstractDrawnSystem)
     if store == "states" and not drawn:
-        raise KeycldError(f"{system.name} is drawn by MuJoCo, so its pictures are stored: leave out --store states.")
+        raise KeycldError(f"{system.name} is rendered by MuJoCo, so its pictures are stored: leave out --store states.")
     images = store == "images" or not drawn
     plan = sampled_splits(system, size, runs=runs, frames=frames)
     recipe = {
@@ -116,8 +137,9 @@ def sampled_job(
     }
     parts = []
     for split in plan:
-        group = system.group(split.frames, size, images)
-        # Groups begin at multiples, so that a simulation's trajectories stay together.
+        related = system.related(size)
+        group = math.ceil(system.group(split.frames, size, images) / related) * related
+        # Groups begin at multiples and hold whole simulations, which are then computed once.
         edges = [split.seeds[0], *range((split.seeds[0] // group + 1) * group, split.seeds[1], group), split.seeds[1]]
         for first, last in zip(edges, edges[1:], strict=False):
             path = partial / f"{split.name}-{first:07d}.h5"
@@ -130,7 +152,7 @@ def sampled_job(
 def make_sampled_part(
     system: AbstractSampledSystem, numbers: range, frames: int, images: bool, attributes: Mapping[str, Any], path: Path
 ) -> None:
-    """Write the trajectories of `numbers` to `path`, with their pictures or with what draws them."""
+    """Write the trajectories of `numbers` to `path`, with their pictures or with the name of what renders them."""
     recording = system.record(numbers, frames, attributes["protocol"], attributes["size"])
     image, about = None, dict(attributes)
     if images:
