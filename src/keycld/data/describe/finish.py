@@ -1,32 +1,17 @@
-"""The first step of importing, and the last one of making or importing: who holds a folder, and that it is finished."""
+"""The last step of making or importing data: what describes them, and the mark that they are finished."""
 
 from pathlib import Path
 from typing import Any
 
-from keycld._errors import KeycldError
-from keycld._files import make_folder, write_text
-from keycld.data.card import card
-from keycld.data.dataset import PARTIAL, unfinished
-from keycld.data.drawn import known, with_pictures
-from keycld.data.movies import PREVIEWED, write_preview
-from keycld.data.sampled_figures import sampled_figures
-from keycld.data.statistics import split_statistics, write_statistics
-from keycld.data.store import read
+from keycld._files import write_text
+from keycld.data.describe.card import card
+from keycld.data.describe.figures import sampled_figures
+from keycld.data.describe.movies import PREVIEWED, write_preview
+from keycld.data.describe.statistics import split_statistics
+from keycld.data.format.derived import known, with_pictures
+from keycld.data.format.folder import write_statistics
+from keycld.data.format.reading import read
 from keycld.systems import AbstractSampledSystem
-
-
-def claim(folder: Path) -> Path:
-    """Make the folder of an import, or take up an interrupted one; returns the place of its parts.
-
-    Raises:
-        KeycldError: it holds other data.
-    """
-    parts = folder / PARTIAL
-    made = (parts / "recipe.json").exists()  # `make_data` began it
-    if made or (any(folder.glob("*.h5")) and not unfinished(folder)):
-        raise KeycldError(f"{folder} already holds data: choose another folder, or delete it first.")
-    make_folder(parts)
-    return parts
 
 
 def finish(folder: Path, made: dict[str, Any]) -> None:

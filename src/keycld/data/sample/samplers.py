@@ -1,116 +1,89 @@
-"""Clips: a few frames of a trajectory, sampled on the device from uint8 pictures, stored or drawn on demand."""
+"""Samplers: which clips a training step sees."""
 
 from abc import abstractmethod
+from typing import Protocol
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, PRNGKeyArray, UInt8
+from jaxtyping import Array, Int, PRNGKeyArray
 
 from keycld._errors import KeycldError
-from keycld.data.drawn import DrawnLater, drawn_later
-from keycld.data.store import Trajectories
+from keycld.data.sample.clips import Clip, gather
+from keycld.data.sample.resident import Resident
 
 
-class Resident(eqx.Module):
-    """Training trajectories on the device. The true state is never among them.
+class HasShape(Protocol):
+    """Training data, resident or not: only the shape (N, T, H, W, 3) of the pictures counts."""
 
-    - `image`: all frames, or what draws those that are asked for from stored states.
-    - `u`: input, constant along a trajectory `[N, l]` or held from each frame to the next `[N, T, l]`.
-    - `dt`: seconds between frames.
-    - `keypoints`: keypoints found by a trained observer `[N, T, 2K]`, where a stage has cached them.
-    """
-
-    image: UInt8[Array, "N T H W 3"] | DrawnLater
-    u: Float[Array, "N *T l"]
-    dt: Float[Array, ""]
-    keypoints: Float[Array, "N T dim"] | None = None
-
-
-def resident(trajectories: Trajectories) -> Resident:
-    """Training trajectories on the device: their pictures, or, where only states are stored, what draws clips.
-
-    Raises:
-        KeycldError: there are neither pictures nor a renderer for the states.
-    """
-    image = drawn_later(trajectories) if trajectories.image is None else jnp.asarray(trajectories.image)
-    if image is None:
-        raise KeycldError("these data hold neither pictures nor states that a renderer of ours draws: add '/image'.")
-    return Resident(image, jnp.asarray(trajectories.input), jnp.asarray(trajectories.dt, jnp.float32))
-
-
-class Clip(eqx.Module):
-    """Frames of one trajectory in order, gaps allowed; a sampler gives a batch of them, stacked.
-
-    - `frames`: values in [0, 1], or None where a sampler gives cached keypoints instead.
-    - `keypoints`: cached keypoints, or None.
-    - `index`: frame numbers, counted from the clip's own first frame.
-    - `u`: the input, `[l]` constant or `[length, l]` from the clip's first frame on.
-    - `dt`: seconds between consecutive frame numbers.
-    - `span`: the largest frame number that `index` may hold, plus one; known at compile time.
-    """
-
-    frames: Float[Array, "*batch F H W 3"] | None
-    keypoints: Float[Array, "*batch F dim"] | None
-    index: Int[Array, "*batch F"]
-    u: Float[Array, "*batch l"] | Float[Array, "*batch span l"]
-    dt: Float[Array, "*batch"]
-    span: int = eqx.field(static=True)
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The shape of the pictures."""
+        ...
 
 
 class AbstractSampler(eqx.Module):
-    """Draws the batch of clips of a step from resident data; a pure function of key and step number."""
+    """Samples the batch of clips of a step from resident data; a pure function of key and step number."""
 
     @abstractmethod
     def span(self) -> int:
-        """How many consecutive frames a trajectory must have at least."""
+        """Tell how many consecutive frames a trajectory must have at least."""
 
     @abstractmethod
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """A batch of clips; `key` is the same for all steps of a stage."""
+        """Sample a batch of clips; `key` is the same for all steps of a stage."""
 
-    def check(self, data: Resident) -> None:
-        """Raises KeycldError when the trajectories are too short."""
-        if self.span() > data.image.shape[1]:
+    def check(self, data: HasShape) -> None:
+        """Refuse trajectories that are too short.
+
+        Raises:
+            KeycldError: a clip is longer than they are.
+        """
+        if self.span() > data.shape[1]:
             raise KeycldError(
-                f"trajectories have {data.image.shape[1]} frames but this recipe samples clips of "
+                f"trajectories have {data.shape[1]} frames but this recipe samples clips of "
                 f"{self.span()}; make longer trajectories or shorten the recipe's horizon."
             )
 
 
 class RandomFrames(AbstractSampler):
-    """Independent single frames, for learning to see. Good values: 16 to 64."""
+    """Independent single frames, for training an image encoder.
+
+    Attributes:
+        batch: frames a step. Good values: 16 to 64.
+    """
 
     batch: int = eqx.field(static=True)
 
     def span(self) -> int:
-        """One."""
+        """Return 1."""
         return 1
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """Frames drawn uniformly over all trajectories and times."""
+        """Sample frames uniformly over all trajectories and times."""
         key_trajectory, key_frame = jax.random.split(jax.random.fold_in(key, step))
         count, length = data.image.shape[:2]
         trajectory = jax.random.randint(key_trajectory, (self.batch,), 0, count)
         start = jax.random.randint(key_frame, (self.batch,), 0, length)
-        return _gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1)
+        return gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1)
 
 
 class StartGroups(AbstractSampler):
-    """A few groups of consecutive frames at random places of a window: each can start a motion through all others.
+    """A few groups of consecutive frames at random places of a window: each can give an initial state for all others.
 
-    A long horizon for the price of a few pictures, and every frame is a start as often as it is a target. The window
-    grows with the steps, because a motion that starts a little wrong is lost after a long time and teaches
-    nothing there. All windows share one compiled step.
+    So a long horizon costs few pictures, and every frame is as often part of an initial state as it is a target. The
+    window grows with the steps: over a long time, a motion with a slightly wrong initial state ends anywhere, and its
+    error teaches nothing. All windows share one compiled step.
 
-    - `batch`: clips a step.
-    - `groups`: how many, drawn without overlap, in order.
-    - `windows`: frames of the first and of the last possible ones; each holds for an equal part of `steps`.
-    - `steps`: of the stage.
-    - `cached`: give the keypoints that the stage has cached instead of pictures.
-    - `given`: frames of a group; 2 tell position and velocity.
-    - `begin`: share of the clips whose window and first group are a trajectory's first frames. Predictions start
-      there, often from rest, and postures that all trajectories begin with are rare elsewhere.
+    Attributes:
+        batch: clips a step.
+        groups: groups a clip, sampled without overlap, in order.
+        windows: frames of the window; each value holds for an equal part of `steps`.
+        steps: of the stage.
+        cached: give the values that the stage has cached instead of pictures.
+        given: frames of a group; 2 determine position and velocity.
+        begin: share of the clips whose window and first group are the first frames of a trajectory. Predictions
+            begin there, often at rest, and the poses there may be rare elsewhere.
     """
 
     batch: int = eqx.field(static=True)
@@ -122,7 +95,7 @@ class StartGroups(AbstractSampler):
     begin: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
-        """Every window has room for the groups."""
+        """Check that every window has room for the groups."""
         least = self.groups * self.given
         if min(self.windows) < least:
             raise KeycldError(
@@ -131,11 +104,11 @@ class StartGroups(AbstractSampler):
             )
 
     def span(self) -> int:
-        """The longest window."""
+        """Return the longest window."""
         return max(self.windows)
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """Clips drawn uniformly over all trajectories and places of the window."""
+        """Sample clips uniformly over all trajectories and places of the window."""
         keys = jax.random.split(jax.random.fold_in(key, step), 5)
         count, length = data.image.shape[:2]
         phase = jnp.clip(step * len(self.windows) // self.steps, 0, len(self.windows) - 1)
@@ -143,45 +116,62 @@ class StartGroups(AbstractSampler):
         trajectory = jax.random.randint(keys[0], (self.batch,), 0, count)
         begins = jax.random.bernoulli(keys[4], self.begin, (self.batch,))
         start = jnp.where(begins, 0, jax.random.randint(keys[1], (self.batch,), 0, length - window + 1))
-        # Groups fill slots side by side; where there is room all slots are shifted, or no group would begin between.
+        # Groups fill adjacent slots. All slots are shifted by a random number, so that a group may begin at any frame.
         room = jnp.minimum(self.given, window - self.groups * self.given + 1)
         shift = jnp.where(begins[:, None], 0, jax.random.randint(keys[2], (self.batch, 1), 0, room))
         first = shift + self.given * jnp.arange(self.span() // self.given)[None, :]
-        # The slots with the smallest random numbers are a draw without repetition; those too late have none.
+        # The slots with the smallest random numbers are a sample without repetition; slots that end too late are last.
         lot = jax.random.uniform(keys[3], first.shape) + (first + self.given > window)
         lot = lot.at[:, 0].add(-1.0 * begins)
         chosen = jnp.sort(jnp.argsort(lot, axis=1)[:, : self.groups], axis=1)
         within = jnp.take_along_axis(first, chosen, axis=1)[:, :, None] + jnp.arange(self.given)[None, None, :]
-        return _gather(data, trajectory, start, within.reshape(self.batch, -1), self.span(), frames=not self.cached)
+        return gather(data, trajectory, start, within.reshape(self.batch, -1), self.span(), frames=not self.cached)
 
 
 class WholeTrajectories(AbstractSampler):
-    """One whole trajectory a step, each once an epoch in a new random order (the paper's batches)."""
+    """One whole trajectory a step, each once an epoch in a new random order (the batches of arXiv v1).
+
+    Attributes:
+        length: frames of a trajectory.
+    """
 
     length: int = eqx.field(static=True)
 
     def span(self) -> int:
-        """The length of a trajectory."""
+        """Return the length of a trajectory."""
         return self.length
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """The trajectory of this step."""
+        """Give the trajectory of this step."""
         count = data.image.shape[0]
         order = jax.random.permutation(jax.random.fold_in(key, step // count), count)
         trajectory = order[step % count][None]
         index = jnp.arange(self.length)[None, :]
-        return _gather(data, trajectory, jnp.zeros(1, int), index, self.length)
+        return gather(data, trajectory, jnp.zeros(1, int), index, self.length)
 
 
-def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool = True) -> Clip:
-    rows, columns = trajectory[:, None], start[:, None] + index
-    held = jnp.minimum(start[:, None] + jnp.arange(span)[None, :], data.image.shape[1] - 1)
-    u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]
-    return Clip(
-        frames=data.image[rows, columns].astype(jnp.float32) / 255.0 if frames else None,
-        keypoints=None if frames or data.keypoints is None else data.keypoints[rows, columns],
-        index=index,
-        u=u,
-        dt=jnp.broadcast_to(data.dt, trajectory.shape),
-        span=span,
-    )
+class Windows(AbstractSampler):
+    """Windows of consecutive frames, uniform over all trajectories and first frames.
+
+    The batches of "Which priors matter?".
+
+    Attributes:
+        batch: windows a step.
+        length: frames of a window.
+    """
+
+    batch: int = eqx.field(static=True)
+    length: int = eqx.field(static=True)
+
+    def span(self) -> int:
+        """Return the length of a window."""
+        return self.length
+
+    def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
+        """Sample windows: `frames` `[batch, length, H, W, 3]`, `index` 0 … length − 1, and the input of the window."""
+        key_trajectory, key_frame = jax.random.split(jax.random.fold_in(key, step))
+        count, frames = data.image.shape[:2]
+        trajectory = jax.random.randint(key_trajectory, (self.batch,), 0, count)
+        first = jax.random.randint(key_frame, (self.batch,), 0, frames - self.length + 1)
+        index = jnp.broadcast_to(jnp.arange(self.length), (self.batch, self.length))
+        return gather(data, trajectory, first, index, self.length)
