@@ -11,7 +11,8 @@ from sample import assert_equal, sample
 
 from keycld import KeycldError
 from keycld.data import read, write
-from keycld.data.store import join
+from keycld.data.format import writing
+from keycld.data.format.writing import join
 
 
 @pytest.mark.parametrize("varying_input", [False, True])
@@ -71,6 +72,24 @@ def test_joined_parts_are_the_whole(tmp_path):
     join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
     assert_equal(read(tmp_path / "joined.h5"), whole)
     assert read(tmp_path / "joined.h5").attributes == read(tmp_path / "0.h5").attributes
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_joined_undriven_parts(tmp_path, monkeypatch, large):
+    undriven = dataclasses.replace(sample(4), input=np.zeros((4, 0), np.float32))
+    half = dataclasses.replace(
+        undriven,
+        **{name: getattr(undriven, name)[2:] for name in ("input", "image", "state", "state_derivative")},
+        parameters={name: value[2:] for name, value in undriven.parameters.items()},
+    )
+    write(tmp_path / "0.h5", undriven)
+    write(tmp_path / "1.h5", half)
+    if large:
+        monkeypatch.setattr(writing, "_LARGE", 0)
+    join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
+    joined = read(tmp_path / "joined.h5")
+    assert joined.input.shape == (6, 0)
+    np.testing.assert_array_equal(joined.image, np.concatenate([undriven.image, half.image]))
 
 
 def test_bad_contents_are_not_written(tmp_path):

@@ -90,7 +90,7 @@ class DataSet:
         return map(with_pictures, found) if images else found
 
     def training_data(
-        self, seed: int, *, budget_bytes: float = MOST_BYTES, shard_steps: int = TrainingData.SHARD_STEPS
+        self, seed: int, *, budget_bytes: int | float = MOST_BYTES, shard_steps: int = TrainingData.SHARD_STEPS
     ) -> TrainingData:
         """Prepare the training split for samplers: resident as a whole if it fits into memory, or shard by shard.
 
@@ -113,7 +113,9 @@ class DataSet:
         """
         source = TrainingData(self.path(name), seed=0)
         if source.until(0) is not None:
-            refuse_if_large(source.shape)
+            raise KeycldError(
+                f"{source.shape[0]} trajectories of {self.folder} do not fit into memory: use training_data instead."
+            )
         return source.at(0)
 
     def train(self) -> Trajectories:

@@ -36,8 +36,8 @@ def card(train: Trajectories, figures: dict[str, Any]) -> str:
         "## How to evaluate",
         f"Valid prediction time: the first frame whose mean squared error exceeds ε = "
         f"{figures['splits']['validation'].get('epsilon', float('nan')):.3e}, as a part of the frames; the model "
-        "gets the first frames and the input only, never `/state`. Report the scores of the mean image and of the frozen "
-        "last frame next to every result.",
+        "gets the first frames and the input only, never `/state`. Report the scores of the mean image and of the "
+        "frozen last frame next to every result.",
         "`keycld data check` on this folder compares every file with `statistics.json`.",
     ]
     return "\n\n".join(parts) + "\n"

@@ -48,7 +48,7 @@ def write_preview(trajectories: Trajectories, path: Path) -> None:
 def _images(trajectories: Trajectories) -> np.ndarray:
     if trajectories.image is None:
         raise KeycldError(
-            "these recordings hold no pictures, only states that no renderer of keycld knows: add '/image'."
+            "these recordings hold no pictures, and no renderer of keycld for their states: add '/image'."
         )
     return trajectories.image
 

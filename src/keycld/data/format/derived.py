@@ -25,7 +25,7 @@ def refuse_if_large(shape: tuple[int, ...]) -> None:
     if size > MOST_BYTES:
         raise KeycldError(
             f"the pictures of {shape[0]} recordings of {shape[1]} frames take {size / 1e9:.0f} GB: read fewer of them "
-            "(rows=slice(0, 1000)), or iterate over open_data(...).blocks(...), or train on open_data(...).training_data(...)."
+            "(rows=slice(0, 1000)), or block by block with open_data(...).blocks(...)."
         )
 
 

@@ -34,7 +34,7 @@ def import_suite(folder: str | Path, out: str | Path | None = None) -> Path:
 
     Args:
         folder: of the download.
-        out: the folder to make; by default `data/NAME` with the name of the set in keycld, such as `data/toy/pendulum_colors`.
+        out: the folder to make; by default `data/NAME` with our name of the set, such as `data/toy/pendulum_colors`.
 
     Returns:
         The folder made.

@@ -1,6 +1,6 @@
 """Trajectories on the device, from which samplers take clips."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -47,8 +47,8 @@ def resident(trajectories: Trajectories) -> Resident:
     Raises:
         KeycldError: there are neither pictures nor a renderer for the states.
     """
-    host, system = on_host([trajectories], len(trajectories))
-    return on_device(host, system, trajectories.dt)
+    host = on_host([trajectories], len(trajectories))
+    return on_device(host, needed_renderer(trajectories), trajectories.dt)
 
 
 class Host(NamedTuple):
@@ -70,45 +70,48 @@ class Host(NamedTuple):
         return sum(array.nbytes for array in jax.tree.leaves(self))
 
 
-def on_host(blocks: Iterable[Trajectories], count: int) -> tuple[Host, AbstractDrawnSystem | None]:
-    """Collect `count` trajectories that come block by block, and find what renders them (None with pictures).
-
-    Only the result and one block are in memory at any time.
+def needed_renderer(trajectories: Trajectories) -> AbstractDrawnSystem | None:
+    """Find the system that renders the pictures of these trajectories; None if they have pictures.
 
     Raises:
         KeycldError: there are neither pictures nor a renderer for the states.
     """
-    whole: Host | None = None
-    system, row = None, 0
-    for block, system in _converted(blocks):
+    system = renderer_of(trajectories) if trajectories.image is None else None
+    if system is None and trajectories.image is None:
+        raise KeycldError("these data hold neither pictures nor states that a renderer of keycld knows: add '/image'.")
+    return system
+
+
+def on_host(blocks: Iterable[Trajectories], count: int) -> Host:
+    """Collect `count` trajectories that come block by block; only they and one block are in memory at any time.
+
+    Raises:
+        KeycldError: as `needed_renderer`.
+    """
+    whole, row = None, 0
+    for block in map(_converted, blocks):
         whole = whole or jax.tree.map(lambda array: _aligned((count, *array.shape[1:]), array.dtype), block)
         for target, values in zip(jax.tree.leaves(whole), jax.tree.leaves(block), strict=True):
             target[row : row + len(values)] = values
         row += len(block.u)
     assert whole is not None and row == count
-    return whole, system
+    return whole
 
 
 def on_device(host: Host, system: AbstractDrawnSystem | None, dt: float) -> Resident:
-    """Hand the arrays to JAX; on a CPU nothing is copied, so they must not change any more."""
+    """Pass the arrays to JAX, with the system that renders them or None; on a CPU nothing is copied."""
     image, u, constants = jax.device_put(host)
     if system is not None:
         image = DrawnLater(image, constants, system.draw, system.size)
     return Resident(image, u, jnp.asarray(dt, jnp.float32))
 
 
-def _converted(blocks: Iterable[Trajectories]) -> Iterator[tuple[Host, AbstractDrawnSystem | None]]:
-    for block in blocks:
-        if block.image is not None:
-            yield Host(block.image, block.input, {}), None
-            continue
-        system = renderer_of(block)
-        if system is None or block.state is None:
-            raise KeycldError(
-                "these data hold neither pictures nor states that a renderer of keycld knows: add '/image'."
-            )
-        seen = system.all_seen(block.state, block.parameters)
-        yield Host(seen, block.input, in_single_precision(block.parameters)), system
+def _converted(block: Trajectories) -> Host:
+    if block.image is not None:
+        return Host(block.image, block.input, {})
+    system = needed_renderer(block)
+    assert system is not None and block.state is not None
+    return Host(system.all_seen(block.state, block.parameters), block.input, in_single_precision(block.parameters))
 
 
 def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:

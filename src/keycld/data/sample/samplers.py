@@ -1,7 +1,6 @@
 """Samplers: which clips a training step sees."""
 
 from abc import abstractmethod
-from typing import Protocol
 
 import equinox as eqx
 import jax
@@ -11,15 +10,7 @@ from jaxtyping import Array, Int, PRNGKeyArray
 from keycld._errors import KeycldError
 from keycld.data.sample.clips import Clip, gather
 from keycld.data.sample.resident import Resident
-
-
-class HasShape(Protocol):
-    """Training data, resident or not: only the shape (N, T, H, W, 3) of the pictures counts."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """The shape of the pictures."""
-        ...
+from keycld.data.sample.training_data import TrainingData
 
 
 class AbstractSampler(eqx.Module):
@@ -33,7 +24,7 @@ class AbstractSampler(eqx.Module):
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
         """Sample a batch of clips; `key` is the same for all steps of a stage."""
 
-    def check(self, data: HasShape) -> None:
+    def check(self, data: Resident | TrainingData) -> None:
         """Refuse trajectories that are too short.
 
         Raises:

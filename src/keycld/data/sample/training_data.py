@@ -5,7 +5,6 @@ half of the budget holds. After some steps the next shard takes its place, which
 other half.
 """
 
-import itertools
 import threading
 import weakref
 from collections.abc import Iterator, Sequence
@@ -18,7 +17,8 @@ from jaxtyping import Int
 from keycld._errors import KeycldError
 from keycld.data.format.derived import MOST_BYTES
 from keycld.data.format.reading import read, read_each, recordings
-from keycld.data.sample.resident import Host, Resident, on_device, on_host
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.sample.resident import Host, Resident, needed_renderer, on_device, on_host
 
 # Recordings read at once: few enough to be negligible in memory.
 _BLOCK = 16
@@ -39,7 +39,9 @@ class TrainingData:
 
     SHARD_STEPS = 2000
 
-    def __init__(self, path: Path, seed: int, *, budget_bytes: float = MOST_BYTES, shard_steps: int = SHARD_STEPS):
+    def __init__(
+        self, path: Path, seed: int, *, budget_bytes: int | float = MOST_BYTES, shard_steps: int = SHARD_STEPS
+    ):
         """Measure the set; nothing is read before `at`.
 
         Args:
@@ -53,7 +55,7 @@ class TrainingData:
             KeycldError: the budget does not hold two trajectories, or there are neither pictures nor a renderer.
         """
         first = read(path, rows=slice(0, 1))
-        one, self._system = on_host([first], 1)
+        one, self._system = on_host([first], 1), needed_renderer(first)
         count, fitting = recordings(path), int(budget_bytes // one.bytes)
         if fitting < min(count, 2):
             raise KeycldError(
@@ -134,10 +136,17 @@ def _end(thread: threading.Thread, stop: threading.Event) -> None:
 
 def _read_shard(path: Path, rows: Int[np.ndarray, "shard"], future: "Future[Host]", stop: threading.Event) -> None:
     try:
-        blocks = itertools.takewhile(lambda _: not stop.is_set(), read_each(path, list(_consecutive(rows))))
-        future.set_result(on_host(blocks, len(rows))[0])
+        blocks = _until_stopped(read_each(path, list(_consecutive(rows))), stop)
+        future.set_result(on_host(blocks, len(rows)))
     except BaseException as error:
         future.set_exception(error)
+
+
+def _until_stopped(blocks: Iterator[Trajectories], stop: threading.Event) -> Iterator[Trajectories]:
+    for block in blocks:
+        if stop.is_set():
+            raise InterruptedError("nobody needs this shard any more")
+        yield block
 
 
 def _consecutive(rows: Sequence[int] | Int[np.ndarray, "shard"]) -> Iterator[slice]:
