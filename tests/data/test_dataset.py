@@ -42,7 +42,7 @@ def test_a_known_system_brings_its_keypoints(folder):
     assert open_data(folder).required_constraints().count == 1
 
 
-def test_a_file_beside_the_data_brings_others(folder):
+def test_a_file_in_the_folder_brings_others(folder):
     (folder / "constraints.toml").write_text(CONSTRAINTS)
     assert open_data(folder).keypoints == ("left", "right")
 

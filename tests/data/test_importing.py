@@ -87,13 +87,13 @@ def test_constraints_come_along(video, tmp_path):
         ({"validation": 0.6, "test": 0.5}, "leave some for training"),
     ],
 )
-def test_bad_wishes(video, tmp_path, changes, words):
+def test_bad_arguments(video, tmp_path, changes, words):
     with pytest.raises(KeycldError, match=words):
         import_video(video, tmp_path / "a", **{"frames": 20, **changes})
     assert not (tmp_path / "a").exists()
 
 
-def test_a_killed_import_is_unfinished_and_taken_up(video, tmp_path, monkeypatch):
+def test_a_killed_import_is_unfinished_and_resumed(video, tmp_path, monkeypatch):
     def dies(folder, made):
         raise KeyboardInterrupt
 

@@ -1,4 +1,4 @@
-"""Data sets of "Which priors matter?": splits, states that are drawn later, resumption, figures."""
+"""Data sets of "Which priors matter?": splits, states that are rendered later, resumption, figures."""
 
 import dataclasses
 import json
@@ -105,7 +105,7 @@ def test_a_set_of_states_is_whole_and_sound(folder):
     }  # fmt: skip
 
 
-def test_opening_draws(folder):
+def test_opening_renders(folder):
     test = open_data(folder).test()
     assert test.image.shape == (4, 30, 32, 32, 3)
     drawn = get(NAME).pictures(Recording(test.time, test.state, dict(test.parameters))).image
@@ -116,7 +116,7 @@ def test_opening_draws(folder):
     assert open_data(folder).count("test") == 4 and open_data(folder).split("test", images=False).image is None
 
 
-def test_stored_pictures_are_the_drawn_ones(folder, tmp_path):
+def test_stored_pictures_are_the_rendered_ones(folder, tmp_path):
     make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1, store="images")
     stored = read(tmp_path / "a" / "test.h5")
     assert "renderer_version" not in stored.attributes
@@ -126,7 +126,7 @@ def test_stored_pictures_are_the_drawn_ones(folder, tmp_path):
 
 
 @pytest.mark.parametrize("sampler", [StartGroups(4, 2, (6,), 10), WholeTrajectories(30)])
-def test_clips_are_drawn_inside_the_step(folder, sampler):
+def test_clips_are_rendered_inside_the_step(folder, sampler):
     """The same clips, bit for bit, from states as from pictures, in a compiled step."""
     states = open_data(folder).split("train", images=False)
     later, now = open_data(folder).resident(), resident(with_pictures(states))
@@ -142,7 +142,7 @@ def test_clips_are_drawn_inside_the_step(folder, sampler):
 
 
 def test_states_reach_nothing_but_the_renderer(folder):
-    """What is on the device holds places of discs, and neither momenta nor the state."""
+    """The device holds positions of discs, and neither momenta nor the state."""
     states = open_data(folder).split("train", images=False)
     data = resident(states)
     assert data.image.seen.shape == (18, 30, 2)
@@ -153,7 +153,7 @@ def test_states_reach_nothing_but_the_renderer(folder):
         np.testing.assert_array_equal(one, other)
 
 
-def test_pictures_drawn_later_can_be_indexed(folder):
+def test_pictures_rendered_later_can_be_indexed(folder):
     states = open_data(folder).split("train", images=False)
     drawn, image = resident(states).image, with_pictures(states).image
     assert len(drawn) == 18
@@ -195,7 +195,7 @@ def test_derivatives_are_computed_on_reading(folder):
         with_derivative(dataclasses.replace(test, attributes={**test.attributes, "system": "mine"}))
 
 
-def test_interrupted_work_is_taken_up(folder, tmp_path):
+def test_interrupted_work_is_resumed(folder, tmp_path):
     def stop(progress):
         raise KeyboardInterrupt
 

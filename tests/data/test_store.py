@@ -46,15 +46,15 @@ def test_images_are_chunked_by_trajectory_and_compressed(tmp_path):
         assert file["image"].chunks == (1, 5, 8, 8, 3) and file["image"].compression == "gzip"
 
 
-def test_a_file_drawn_later_needs_a_renderer(tmp_path):
+def test_a_file_rendered_later_needs_a_renderer(tmp_path):
     without = dataclasses.replace(sample(), image=None)
     with pytest.raises(KeycldError, match="'/image' is missing"):
         write(tmp_path / "a.h5", without)
-    drawn_later = dataclasses.replace(
+    rendered_later = dataclasses.replace(
         without, attributes={**without.attributes, "renderer": "discs", "renderer_version": 1}
     )
-    write(tmp_path / "a.h5", drawn_later)
-    assert_equal(read(tmp_path / "a.h5"), drawn_later)
+    write(tmp_path / "a.h5", rendered_later)
+    assert_equal(read(tmp_path / "a.h5"), rendered_later)
 
 
 def test_joined_parts_are_the_whole(tmp_path):
@@ -113,7 +113,7 @@ def test_an_unwritable_folder_is_named(tmp_path):
 @pytest.mark.parametrize(
     "error", [OSError(errno.ENOSPC, "No space left on device"), OSError("No space left on device")]
 )
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, error):
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, error):
     def full(handle):
         raise error
 

@@ -25,11 +25,12 @@ def normalised_errors(
     """
     x, predicted = _unit(truth), _unit(prediction)
     pixels = (-3, -2, -1)
-    return np.sum((x - predicted) ** 2, axis=pixels, dtype=np.float64) / np.sum(x**2, axis=pixels, dtype=np.float64)
+    squares = np.sum((x - predicted) ** 2, axis=pixels, dtype=np.float64)
+    return np.asarray(squares / np.sum(x**2, axis=pixels, dtype=np.float64))
 
 
 def trivial_scores(
-    train: Iterable[UInt8[np.ndarray, "n T H W 3"]], test: Iterable[UInt8[np.ndarray, "m T2 H W 3"]]
+    train: Iterable[UInt8[np.ndarray, "_ T H W 3"]], test: Iterable[UInt8[np.ndarray, "_ T2 H W 3"]]
 ) -> dict[str, dict[str, Any]]:
     """Score two constant predictions: the mean picture of `train`, and the first frame of each recording of `test`.
 
@@ -55,7 +56,7 @@ def _unit(frames: np.ndarray) -> np.ndarray:
 
 
 def _mean_picture(blocks: Iterable[np.ndarray]) -> Float[np.ndarray, "H W 3"]:
-    total, count = 0, 0
+    total, count = np.zeros((), np.uint64), 0
     for block in blocks:
         total = total + block.sum(axis=(0, 1), dtype=np.uint64)
         count += block.shape[0] * block.shape[1]

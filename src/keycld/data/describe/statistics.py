@@ -38,7 +38,7 @@ def split_statistics(path: Path) -> dict[str, Any]:
     return figures
 
 
-def first_pictures(path: Path) -> Iterator[UInt8[np.ndarray, "n T H W 3"]]:
+def first_pictures(path: Path) -> Iterator[UInt8[np.ndarray, "_ T H W 3"]]:
     """Yield the pictures of the first 1,000 recordings of a file, stored or rendered, a few recordings at a time."""
     last = min(PICTURED, recordings(path))
     rows = [slice(first, min(first + _BLOCK, last)) for first in range(0, last, _BLOCK)]
@@ -48,7 +48,7 @@ def first_pictures(path: Path) -> Iterator[UInt8[np.ndarray, "n T H W 3"]]:
         yield image
 
 
-def image_statistics(blocks: Iterable[UInt8[np.ndarray, "n T H W 3"]]) -> dict[str, Any]:
+def image_statistics(blocks: Iterable[UInt8[np.ndarray, "_ T H W 3"]]) -> dict[str, Any]:
     """Compute mean and deviation of all grey levels, and ε, from pictures that come some recordings at a time.
 
     ε is the mean squared error of predicting the mean frame, which is the mean over pixels of the variance of each. Of

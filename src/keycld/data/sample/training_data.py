@@ -49,7 +49,7 @@ class TrainingData:
             seed: decides the order of the trajectories.
             budget_bytes: memory for both shards, the resident one and the next one.
             shard_steps: steps for which a shard is resident. Good values: long enough to read the next shard
-                meanwhile, about 20 s for the default budget, and for a few samples of each resident trajectory.
+                meanwhile, about a minute for the default budget, and to sample each resident trajectory a few times.
 
         Raises:
             KeycldError: the budget does not hold two trajectories, or there are neither pictures nor a renderer.
