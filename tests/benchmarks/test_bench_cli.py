@@ -41,7 +41,8 @@ def finished_data(folder):
     recipe = {}
     with pytest.MonkeyPatch.context() as patch:
         # What `make_data` looks for in a folder that it would leave as it is.
-        patch.setattr("keycld.data.generate.make._finished", lambda folder, wanted, names: recipe.update(wanted) or True)
+        place = "keycld.data.generate.make._finished"
+        patch.setattr(place, lambda folder, wanted, names: recipe.update(wanted) or True)
         make_data("pendulum", folder)
     found = {split.name: {"sha256": split.name} for split in plan}
     (folder / "statistics.json").write_text(json.dumps({"splits": found, "recipe": recipe}))
