@@ -28,7 +28,7 @@ class Feature(NamedTuple):
 
 
 def read_features(path: Path) -> dict[str, Feature]:
-    """The arrays that `features.txt` announces: lines such as `other/m, (1,), float64`.
+    """Read the arrays that `features.txt` declares: lines such as `other/m, (1,), float64`.
 
     Raises:
         KeycldError: there is no such file, or a line is not of this form.
@@ -49,7 +49,7 @@ def read_features(path: Path) -> dict[str, Feature]:
 
 
 def read_examples(path: Path, features: dict[str, Feature]) -> Iterator[dict[str, np.ndarray]]:
-    """The examples of one file, as the data sets of "Which priors matter?" store them.
+    """Read the examples of one file, in the encoding of "Which priors matter?".
 
     uint8 arrays are PNG pictures, stacks of them one below the other; all other types are the array's bits, seen as
     64-bit integers.
@@ -66,7 +66,7 @@ def read_examples(path: Path, features: dict[str, Feature]) -> Iterator[dict[str
 
 
 def count_records(path: Path) -> int:
-    """How many records a file holds.
+    """Count the records of a file.
 
     Raises:
         KeycldError: the file is missing, truncated or damaged.
@@ -91,7 +91,7 @@ def _records(path: Path, contents: bool = True) -> Iterator[bytes]:
             if len(header) < 12 or struct.unpack("<I", header[8:])[0] != _masked(_crc32c(header[:8])):
                 raise KeycldError(f"{path} is not a whole TFRecord file, record {number} is damaged: copy it again.")
             (length,) = struct.unpack("<Q", header[:8])
-            # The record's own check-sum is passed over: in Python it would take longer than all the rest.
+            # The check-sum of the record itself is not compared: in Python that would take longer than all the rest.
             record = file.read(length) if contents else b""
             if not contents:
                 file.seek(length, 1)
@@ -126,7 +126,7 @@ def _varint(data: memoryview, position: int) -> tuple[int, int]:
 
 
 def _message(data: memoryview) -> Iterator[tuple[int, Any]]:
-    """Field numbers and values of a protocol buffer: integers, or bytes."""
+    """Yield field numbers and values of a protocol buffer: integers, or bytes."""
     position = 0
     while position < len(data):
         tag, position = _varint(data, position)
@@ -158,7 +158,7 @@ def _example(record: bytes) -> dict[str, Any]:
 
 
 def _list(kind: int, values: memoryview) -> Any:
-    """The contents of a list of bytes (1) or of integers (3), packed or not."""
+    """Decode a list of bytes (1) or of integers (3), packed or not."""
     if kind == 1:
         return [bytes(value) for _, value in _message(values)]
     if kind != 3:
@@ -170,7 +170,7 @@ def _list(kind: int, values: memoryview) -> Any:
 
 
 def _packed(data: memoryview) -> Int64[np.ndarray, "n"]:
-    """Many varints at once: seven bits a byte, the lowest first, the last byte without its top bit."""
+    """Decode many varints at once: seven bits a byte, the lowest first, the last byte without its top bit."""
     byte = np.frombuffer(data, np.uint8)
     last = np.flatnonzero(byte < 0x80)
     first = np.concatenate([[0], last[:-1] + 1])

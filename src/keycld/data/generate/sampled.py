@@ -10,8 +10,9 @@ import numpy as np
 
 from keycld import __version__
 from keycld._errors import KeycldError, unknown
-from keycld.data.parts import Part
-from keycld.data.store import Trajectories, write
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
+from keycld.data.generate.parts import Part
 from keycld.systems import AbstractDrawnSystem, AbstractSampledSystem, Task
 
 Store = Literal["states", "images"]
@@ -161,7 +162,7 @@ def make_sampled_part(
         about |= {"renderer": system.renderer, "renderer_version": system.renderer_version}
     trajectories = Trajectories(
         time=recording.time,
-        input=np.zeros((len(numbers), 1), np.float32),
+        input=np.zeros((len(numbers), 0), np.float32),
         image=image,
         state=recording.state,
         parameters=recording.parameters,

@@ -2,25 +2,23 @@
 
 from typing import Any
 
-import numpy as np
-
-from keycld.data.store import Trajectories
+from keycld.data.format.trajectories import Trajectories
 from keycld.systems import get, names
 
 _MEANING = {
     "train": "what models learn from",
     "validation": "for choices; its mean image gives the threshold ε",
     "test": "nothing is ever tuned on it",
-    "test_long": "long predictions without input; nothing is ever tuned on it",
+    "test_long": "long predictions with all inputs zero; nothing is ever tuned on it",
     "sweeps": "pictures along paths and a grid of the configuration space, for energy figures",
 }
 
 
 def card(train: Trajectories, figures: dict[str, Any]) -> str:
-    """The card, in Markdown.
+    """Write the card, in Markdown.
 
     Args:
-        train: the training split.
+        train: the first recordings of the training split, with their pictures.
         figures: what `statistics.json` will hold.
     """
     about = train.attributes
@@ -33,13 +31,13 @@ def card(train: Trajectories, figures: dict[str, Any]) -> str:
     parts += ["## How it was made", _origin(about, figures)]
     if "baselines" in figures:
         parts += ["## Parameters and conserved quantity", _ranges(figures)]
-        parts += ["## Predictions that know nothing", _baselines(figures["baselines"])]
+        parts += ["## Trivial predictions", _baselines(figures["baselines"])]
     parts += [
         "## How to evaluate",
         f"Valid prediction time: the first frame whose mean squared error exceeds ε = "
         f"{figures['splits']['validation'].get('epsilon', float('nan')):.3e}, as a part of the frames; the model "
-        "sees the first frames and the input only, never `/state`. Print the mean image's and the frozen last "
-        "frame's scores beside every result.",
+        "gets the first frames and the input only, never `/state`. Report the scores of the mean image and of the "
+        "frozen last frame next to every result.",
         "`keycld data check` on this folder compares every file with `statistics.json`.",
     ]
     return "\n\n".join(parts) + "\n"
@@ -49,7 +47,7 @@ def _ranges(figures: dict[str, Any]) -> str:
     rows = ["| training set | least | mean | largest |", "|---|---|---|---|"]
     named = {name: values for name, values in figures["parameters"].items() if name != "seed"}
     if "conserved" in figures:
-        named["conserved, at the start"] = figures["conserved"]
+        named["conserved, in the first frame"] = figures["conserved"]
     rows += [f"| {name} | {v['least']:.4g} | {v['mean']:.4g} | {v['largest']:.4g} |" for name, v in named.items()]
     if "conserved" in figures:
         change = figures["conserved"]["largest_change"]
@@ -62,7 +60,7 @@ def _baselines(baselines: dict[str, Any]) -> str:
         "| on `test.h5` | normalised error | units of tables 5 and 6 | frames below 0.025 | valid prediction time |",
         "|---|---|---|---|---|",
     ]
-    for name, title in (("mean_image", "mean training picture"), ("first_frame", "each recording's first frame")):
+    for name, title in (("mean_image", "mean training picture"), ("first_frame", "first frame of the recording")):
         s = baselines[name]
         rows.append(
             f"| {title} | {s['normalised_error']:.4f} | {s['table_units']:.1f} | {s['below_threshold']:.2f} | "
@@ -91,11 +89,11 @@ def _fields(train: Trajectories) -> str:
     if train.image is not None:
         height, width = train.image.shape[2:4]
         absent = (
-            f", not stored but drawn from the state by '{about['renderer']}'" if "renderer_version" in about else ""
+            f", not stored but rendered from the state by '{about['renderer']}'" if "renderer_version" in about else ""
         )
         lines.append(f"- `/image`: {height} × {width} RGB, one every {about['dt']:g} s{absent}")
-    undriven = "input_names" not in about and not np.any(train.input)
-    unnamed = "zeros, nothing drives the motion" if undriven else f"{train.input.shape[-1]} components"
+    count = train.input.shape[-1]
+    unnamed = f"{count} components" if count else "none, nothing drives the motion"
     inputs = ", ".join(about.get("input_names", ())) or unnamed
     lines.append(f"- `/input`: {inputs}")
     if train.state is not None and "state_names" in about:
@@ -111,7 +109,7 @@ def _origin(about: Any, figures: dict[str, Any]) -> str:
     if conditions:
         lines.append(f"- conditions of train, validation and test: {', '.join(conditions)}")
     if about.get("renderer"):
-        lines.append(f"- drawn by {about['renderer']}")
+        lines.append(f"- rendered by {about['renderer']}")
     if "seconds" in figures:
         lines.append(f"- made in {figures['seconds']:.0f} s")
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""The pictures along the paths of the energy figures: one file, one trajectory a path."""
+"""Pictures along the paths of the energy figures: one file, one trajectory a path."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from keycld.data.store import Trajectories, write
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
 from keycld.systems import AbstractMechanism, draw_in_worker
 
 
@@ -29,7 +30,7 @@ class Sweep(NamedTuple):
 
 
 def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: Path) -> None:
-    """Draw the system's sweeps and write them to `path`; for a worker process."""
+    """Render the sweeps of a system and write them to `path`; for a worker process."""
     sweeps = system.sweeps()
     lengths = np.array([len(sweep.state) for sweep in sweeps])
     image, renderer = draw_in_worker(system, np.concatenate([sweep.state for sweep in sweeps]))
@@ -38,7 +39,7 @@ def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: 
     index = np.cumsum([0, *lengths[:-1]])[:, None] + within
     trajectories = Trajectories(
         time=system.dt * np.arange(1, lengths.max() + 1),
-        input=np.zeros((len(sweeps), len(system.input_names)), np.float32),
+        input=np.zeros((len(sweeps), len(attributes["input_names"])), np.float32),
         image=image[index],
         state=np.concatenate([sweep.state for sweep in sweeps])[index],
         parameters={
@@ -53,9 +54,9 @@ def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: 
 
 
 def sweeps_of(trajectories: Trajectories) -> tuple[Sweep, ...]:
-    """The paths in a `sweeps.h5`, without the repeated points."""
-    found = trajectories.parameters
-    sweeps = []
+    """List the paths in a `sweeps.h5`, without the repeated points."""
+    found, sweeps = trajectories.parameters, []
+    assert trajectories.image is not None and trajectories.state is not None
     for i in range(len(trajectories)):
         vary = tuple(str(found["vary"][i]).split(","))
         length = int(found["length"][i])
@@ -64,8 +65,8 @@ def sweeps_of(trajectories: Trajectories) -> tuple[Sweep, ...]:
                 name=str(found["name"][i]),
                 vary=vary,
                 shape=tuple(int(n) for n in found["shape"][i][: len(vary)]),
-                image=trajectories.image[i, :length],  # pyright: ignore[reportOptionalSubscript]
-                state=trajectories.state[i, :length],  # pyright: ignore[reportOptionalSubscript]
+                image=trajectories.image[i, :length],
+                state=trajectories.state[i, :length],
             )
         )
     return tuple(sweeps)

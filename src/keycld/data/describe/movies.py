@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.data.store import Trajectories
+from keycld.data.format.trajectories import Trajectories
 
 # A GIF counts in hundredths of a second and browsers slow down anything faster than two of them.
 _GIF_RATE = 50.0
@@ -14,11 +14,11 @@ PREVIEWED = 4
 
 
 def show(trajectories: Trajectories, out: str | Path, *, trajectory: int = 0, scale: int = 4) -> Path:
-    """Write the movie of one recording at its true speed; a GIF of fast pictures leaves some out.
+    """Write the movie of one recording at its true speed; a GIF of fast pictures leaves some frames out.
 
     Args:
         trajectories: with pictures.
-        out: ends in .gif or .mp4.
+        out: a path that ends in .gif or .mp4.
         trajectory: number of the recording; negative ones count from the last.
         scale: each pixel becomes a block of `scale` × `scale`.
 
@@ -47,7 +47,9 @@ def write_preview(trajectories: Trajectories, path: Path) -> None:
 
 def _images(trajectories: Trajectories) -> np.ndarray:
     if trajectories.image is None:
-        raise KeycldError("these recordings hold no pictures, only states that no renderer of ours draws.")
+        raise KeycldError(
+            "these recordings hold no pictures, and no renderer of keycld for their states: add '/image'."
+        )
     return trajectories.image
 
 

@@ -1,4 +1,4 @@
-"""Turns the original files of "Which priors matter?" into a data set of ours."""
+"""Imports the original files of "Which priors matter?"."""
 
 import itertools
 import re
@@ -11,11 +11,13 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
-from keycld.data.dataset import PARTIAL
-from keycld.data.finish import claim, finish
-from keycld.data.sampled import validation_count
-from keycld.data.store import Trajectories, join, write
-from keycld.data.tfrecord import Feature, count_records, read_examples, read_features
+from keycld.data.describe.finish import finish
+from keycld.data.format.folder import PARTIAL
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import join, write
+from keycld.data.generate.sampled import validation_count
+from keycld.data.imports.claim import claim
+from keycld.data.imports.tfrecord import Feature, count_records, read_examples, read_features
 from keycld.systems import AbstractSampledSystem, get, names
 
 _PART = 100
@@ -25,10 +27,10 @@ _LONG = "_long_trajectory"
 def import_suite(folder: str | Path, out: str | Path | None = None) -> Path:
     """Read a folder of the published download, with features.txt, train.tfrecord and test.tfrecord.
 
-    The name of the folder says which set it is, for example `pendulum_colors`; a folder
+    The name of the folder tells which set it is, for example `pendulum_colors`; a folder
     `pendulum_colors_long_trajectory` beside it becomes `test_long.h5`. The last 1,000 training trajectories become
-    `validation.h5`, a tenth of them where there are fewer than 10,000. Derivatives of the sets with friction are left
-    out, because they lack the friction.
+    `validation.h5`, a tenth of them if there are fewer than 10,000. There is no input. Derivatives of the state are not
+    imported, because those of the sets with friction lack the friction: `with_derivative` computes them.
 
     Args:
         folder: of the download.
@@ -96,13 +98,11 @@ def _trajectories(
         return np.stack([example[name] for example in examples])
 
     state = stacked("x")
-    lacks_friction = getattr(system, "friction", 0.0) > 0
     return Trajectories(
         time=system.dt * np.arange(state.shape[1]),
-        input=np.zeros((len(state), 1), np.float32),
+        input=np.zeros((len(state), 0), np.float32),
         image=stacked("image"),
         state=state,
-        state_derivative=None if lacks_friction or "dx_dt" not in features else stacked("dx_dt"),
         # Parameters have a leading axis of length one.
         parameters={name[6:]: stacked(name)[:, 0] for name in features if name.startswith("other/")},
         attributes={

@@ -1,4 +1,4 @@
-"""Turns videos into a data set."""
+"""Imports videos."""
 
 import shutil
 import subprocess
@@ -12,9 +12,11 @@ import numpy as np
 
 from keycld import __version__
 from keycld._errors import KeycldError
-from keycld.data.dataset import CONSTRAINTS
-from keycld.data.finish import claim, finish
-from keycld.data.store import Trajectories, write
+from keycld.data.describe.finish import finish
+from keycld.data.format.folder import CONSTRAINTS
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
+from keycld.data.imports.claim import claim
 from keycld.systems import names
 
 _SPLITS = ("train", "validation", "test")
@@ -33,24 +35,24 @@ def import_video(
     test: float = 0.1,
     constraints: str | Path | None = None,
 ) -> Path:
-    """Make a data set of one or more videos of the same thing, filmed from the same place.
+    """Make a data set of one or more videos of the same system, recorded from the same place.
 
-    Each video is cropped, scaled and cut into recordings of equal length, one after another; what is left
-    over is dropped. The earliest recordings become the training split, the latest the test split, so that
-    no test frame lies between training frames. There is no input (zeros) and no true state.
+    Each video is cropped, scaled and cut into recordings of equal length, one after another; the remainder is dropped.
+    The earliest recordings become the training split, the latest the test split, so that no test frame lies between
+    training frames. There is no input and no true state.
 
     Args:
         paths: video files, any format that ffmpeg reads.
-        out: the folder to make; its name becomes the system's.
+        out: the folder to make; its name becomes that of the system.
         size: pixels of a side, a multiple of 8.
-        fps: frames a second to keep, at most the video's own (the default).
-        crop: (left, top, width, height) in the video's pixels, a square, because lengths must be the same in
-            both directions; by default the largest one in the middle.
-        skip: seconds to leave out at the start of each video.
+        fps: frames a second to keep, at most those of the video (the default).
+        crop: (left, top, width, height) in pixels of the video, a square, because lengths must be the same in both
+            directions; by default the largest one in the middle.
+        skip: seconds to leave out at the beginning of each video.
         frames: frames of a recording.
         validation: part of the recordings for choices; at least one recording.
         test: part of the recordings for the test; at least one recording.
-        constraints: a TOML file of keypoints and constraints, copied beside the data.
+        constraints: a TOML file of keypoints and constraints, copied into the folder.
 
     Returns:
         The folder.
@@ -66,7 +68,7 @@ def import_video(
     out = Path(out)
     if out.resolve().name in names():
         raise KeycldError(
-            f"a folder called '{out.resolve().name}' would be taken for our own system: choose another name for {out}."
+            f"the folder name '{out.resolve().name}' is the name of a system of keycld: choose another name for {out}."
         )
     if constraints is not None:
         from keycld.mechanics import load_constraints
@@ -84,7 +86,7 @@ def import_video(
         "system": out.resolve().name,
         "dt": 1.0 / rate,
         "seed": 0,
-        "input_names": ["none"],
+        "input_names": (),
         "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
         "protocol": "import",
     }
@@ -117,7 +119,7 @@ def _check_numbers(
 
 
 def _ffmpeg(path: Path, *arguments: str) -> bytes:
-    """What ffmpeg writes to its output; arguments of the input stand before "-i".
+    """Run ffmpeg and return its output; arguments of the input stand before "-i".
 
     Raises:
         KeycldError: it cannot decode all of the file.
@@ -135,7 +137,7 @@ def _ffmpeg(path: Path, *arguments: str) -> bytes:
 
 
 def _probe(path: Path) -> tuple[int, int, Fraction]:
-    """Width, height and frames a second, as ffmpeg shows the video (turned upright)."""
+    """Read width, height and frames a second, as ffmpeg decodes the video (turned upright)."""
     # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
     head = _ffmpeg(path, "-i", str(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe")
     words = {word[:1]: word[1:] for word in head.split(b"\n")[0].decode("ascii", "replace").split()[1:]}
@@ -148,7 +150,7 @@ def _probe(path: Path) -> tuple[int, int, Fraction]:
 def _read_video(
     path: Path, size: int, fps: float | None, crop: tuple[int, int, int, int] | None, skip: float
 ) -> tuple[np.ndarray, float]:
-    """Pictures uint8 [T, size, size, 3] and frames a second."""
+    """Read pictures uint8 [T, size, size, 3] and frames a second."""
     if not path.is_file():
         raise KeycldError(f"there is no video {path}: check the path.")
     width, height, own = _probe(path)
@@ -156,7 +158,7 @@ def _read_video(
     if not 0 < rate <= own + Fraction(1, 1000):
         raise KeycldError(f"fps must be above 0 and at most the {float(own):g} of {path}, not {fps}.")
     left, top, side = _square(crop, width, height, path)
-    # The rate comes first: it also evens out the varying frame times of phones.
+    # The rate comes first: it also makes the uneven frame times of phones equal.
     filters = f"fps={rate},crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
     raw = _ffmpeg(path, "-ss", str(skip), "-i", str(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo")
     frame = size * size * 3
@@ -167,7 +169,7 @@ def _read_video(
 
 
 def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, path: Path) -> tuple[int, int, int]:
-    """Left, top and side of the part to keep."""
+    """Compute left, top and side of the part to keep."""
     if crop is None:
         side = min(width, height)
         return (width - side) // 2, (height - side) // 2, side
@@ -197,7 +199,7 @@ def _counts(recordings: int, validation: float, test: float, frames: int) -> tup
 def _trajectories(image: np.ndarray, rate: float, attributes: dict[str, Any]) -> Trajectories:
     return Trajectories(
         time=np.arange(1, image.shape[1] + 1) / rate,
-        input=np.zeros((len(image), 1), np.float32),
+        input=np.zeros((len(image), 0), np.float32),
         image=image,
         attributes=attributes,
     )

@@ -1,4 +1,4 @@
-"""The rules of the file format: what is wrong, where, and the mend."""
+"""The rules of the file format: what is wrong, where, and how to fix it."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -14,17 +14,17 @@ EVERY = slice(None)
 _BLOCK = 1000
 _ATTRIBUTES = {
     "schema_version": f"the number {SCHEMA_VERSION}",
-    "system": "the name of what moves, or any word",
+    "system": "the name of the system, or any word",
     "dt": "seconds between frames",
 }
-# Times are compared with k·dt to this part of a frame: cameras' clocks are read to a millisecond.
+# Steps of time may differ from dt by this part of it: the clocks of cameras are read to a millisecond.
 _TIME_TOLERANCE = 0.02
 
 
 def check_structure(file: File, rows: slice = EVERY) -> list[str]:
-    """What is wrong with all but the pixels of an open file; numbers are looked at in `rows` only."""
+    """List the violations in all but the pixels of an open file; values are checked in `rows` only."""
     problems = list(_attribute_problems(file)) + list(_field_problems(file))
-    # Shapes are compared where every field is there and of the right kind, values where shapes agree.
+    # Shapes are compared only if every field is there and of the right kind, values only if the shapes agree.
     problems = problems or list(_shape_problems(file))
     return problems or list(_value_problems(file, rows))
 
@@ -49,14 +49,13 @@ def _is_number(value: Any) -> bool:
 
 
 def _field_problems(file: File) -> Iterator[str]:
-    for name, shape in {"time": "[T]", "input": "[N, l] or [N, T, l]"}.items():
-        if name not in file:
-            yield f"the field '/{name}' is missing: add it with shape {shape}."
+    if "time" not in file:
+        yield "the field '/time' is missing: add it with shape [T]."
     if "image" not in file:
         if "renderer" not in file.attrs or "state" not in file:
             yield (
                 "the field '/image' is missing: add it (uint8 [N, T, H, W, 3]), or '/state' and the "
-                "attributes 'renderer' and 'renderer_version' to draw it from."
+                "attributes 'renderer' and 'renderer_version' to render it from."
             )
     elif _kind(file["image"]) != "uint8":
         yield f"'/image' is {_kind(file['image'])}, but must be uint8: store grey levels of 0 to 255."
@@ -73,25 +72,35 @@ def _is_real(item: Any) -> bool:
     return isinstance(item, h5py.Dataset) and item.dtype.kind in "fiu"
 
 
+def recordings_in(file: File) -> int:
+    """Count the recordings of an open file: `/input` may be absent, but not both `/image` and `/state`."""
+    shape = next(file[name].shape for name in ("input", "image", "state") if name in file)
+    return shape[0] if shape else 0
+
+
 def _shape_problems(file: File) -> Iterator[str]:
-    time, given = file["time"].shape, file["input"].shape
+    time = file["time"].shape
     if len(time) != 1 or time[0] < 2:
         yield f"'/time' has the shape {time}, but must be [T] with T of at least 2."
         return
     frames = time[0]
-    if len(given) not in (2, 3) or given[0] < 1 or given[-1] < 1 or (len(given) == 3 and given[1] != frames):
+    trajectories = recordings_in(file)
+    if trajectories < 1:
+        yield "the file holds no recording: add some."
+        return
+    given = file["input"].shape if "input" in file else (trajectories, 0)
+    if len(given) not in (2, 3) or (len(given) == 3 and given[1] != frames):
         yield (
-            f"'/input' has the shape {given}, but must be [N, l] or [N, T, l] with T = {frames} as in '/time' "
-            "and l of at least 1 (zeros where nothing drives the motion)."
+            f"'/input' has the shape {given}, but must be [N, l] or [N, T, l] with T = {frames} as in '/time'; "
+            "leave it out if nothing drives the motion."
         )
         return
-    trajectories = given[0]
     if "image" in file:
         shape = file["image"].shape
         if len(shape) != 5 or shape[:2] != (trajectories, frames) or shape[-1] != 3 or 0 in shape:
+            count = f"N = {trajectories} as in '/input' and " if "input" in file else ""
             yield (
-                f"'/image' has the shape {shape}, but must be [N, T, H, W, 3] with N = {trajectories} as in "
-                f"'/input' and T = {frames} as in '/time'."
+                f"'/image' has the shape {shape}, but must be [N, T, H, W, 3] with {count}T = {frames} as in '/time'."
             )
     for name in ("state", "state_derivative"):
         if name in file and (file[name].ndim != 3 or file[name].shape[:2] != (trajectories, frames)):
@@ -100,20 +109,23 @@ def _shape_problems(file: File) -> Iterator[str]:
     derivative = file["state_derivative"].shape if "state_derivative" in file else None
     if derivative is not None and ("state" not in file or file["state"].shape != derivative):
         yield "'/state_derivative' must come with a '/state' of the same shape: remove it or add the state."
-    yield from _names_problems(file)
+    yield from _names_problems(file, given[-1])
     for name, dataset in file.get("parameters", {}).items():
         if dataset.shape[:1] != (trajectories,):
             yield f"'/parameters/{name}' has the shape {dataset.shape}, but must be [{trajectories}, ...]."
 
 
-def _names_problems(file: File) -> Iterator[str]:
-    if "state" not in file:
-        return
-    for name in ("state_names", "units"):
-        if name in file.attrs and len(np.atleast_1d(file.attrs[name])) != file["state"].shape[-1]:
+def _names_problems(file: File, inputs: int) -> Iterator[str]:
+    components = file["state"].shape[-1] if "state" in file else None
+    for name, field, count in (
+        ("state_names", "state", components),
+        ("units", "state", components),
+        ("input_names", "input", inputs),
+    ):
+        if count is not None and name in file.attrs and len(np.atleast_1d(file.attrs[name])) != count:
             yield (
-                f"the attribute '{name}' has {len(np.atleast_1d(file.attrs[name]))} entries, but '/state' has "
-                f"{file['state'].shape[-1]} components: give one a component."
+                f"the attribute '{name}' has {len(np.atleast_1d(file.attrs[name]))} entries, but '/{field}' has "
+                f"{count} components: give one a component."
             )
 
 
@@ -152,11 +164,11 @@ def _finite(name: str, dataset: Any, rows: slice) -> Iterator[str]:
             value, where = values[index], ", ".join(str(int(i)) for i in (start + index[0], *index[1:]))
         count += int(bad.sum())
     if count:
-        yield f"'{name}'[{where}] is {value} ({count} such values): remove the recording or mend the numbers."
+        yield f"'{name}'[{where}] is {value} ({count} such values): remove the recording or fix the numbers."
 
 
 def check_images(file: File) -> list[str]:
-    """Which recordings' pictures cannot be decoded."""
+    """Name the recordings whose pictures cannot be decoded."""
     if "image" not in file:
         return []
     damaged: list[int] = []

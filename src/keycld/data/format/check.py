@@ -5,16 +5,16 @@ from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError
-from keycld.data.dataset import unfinished
-from keycld.data.rules import check_images, check_structure
-from keycld.data.statistics import read_statistics, sha256
-from keycld.data.store import open_file
+from keycld.data.format.folder import read_statistics, sha256, unfinished
+from keycld.data.format.reading import open_file
+from keycld.data.format.rules import check_images, check_structure
 
 
 def check(path: str | Path) -> list[str]:
-    """What is wrong with a file, or with all the files of a folder; an empty list where all is well.
+    """List what is wrong with a file, or with all files of a folder; an empty list if nothing is.
 
-    Every picture is decoded. In a folder that `keycld data make` finished, the check-sums are compared too.
+    Every picture is decoded, one recording at a time. In a folder that `keycld data make` finished, the check-sums are
+    compared too.
     """
     path = Path(path)
     if path.is_dir():
@@ -28,11 +28,12 @@ def check(path: str | Path) -> list[str]:
 
 
 def _disagreements(files: list[Path]) -> Iterator[str]:
-    """What should be the same in all files of a folder and is not."""
+    """Yield what must be the same in all files of a folder and is not."""
     found: dict[str, tuple[Any, Path]] = {}
     for path in files:
         with open_file(path) as file:
-            facts = {"system": file.attrs["system"], "dt": float(file.attrs["dt"]), "inputs": file["input"].shape[-1]}
+            inputs = file["input"].shape[-1] if "input" in file else 0
+            facts = {"system": file.attrs["system"], "dt": float(file.attrs["dt"]), "inputs": inputs}
             if "image" in file:
                 facts["size of a picture"] = file["image"].shape[2:4]
         for name, value in facts.items():
@@ -40,7 +41,7 @@ def _disagreements(files: list[Path]) -> Iterator[str]:
             if value != first:
                 yield (
                     f"{path} differs from {where.name} in '{name}': {value}, not {first}; "
-                    "all files of a folder must show the same thing, so make or import one of them again."
+                    "all files of a folder must show the same system, so make or import one of them again."
                 )
 
 

@@ -1,4 +1,4 @@
-"""The work of one renderer process: simulate and draw a few runs and leave them as one file."""
+"""The work of one renderer process: simulate and render a few runs and write them as one file."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.data.protocols import Split
-from keycld.data.store import Trajectories, write
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
+from keycld.data.generate.protocols import Split
 from keycld.systems import AbstractMechanism, Run, Task, draw_in_worker
 
 _LARGEST_TURN = 1.0
@@ -29,13 +30,13 @@ def _leaves_image(system: AbstractMechanism, run: Run) -> bool:
 
 
 def _turns_too_fast(system: AbstractMechanism, run: Run) -> bool:
-    """Whether an angle changes by more than 1 rad between two frames: soon after, its sense gets lost."""
+    """Tell whether an angle changes by more than 1 rad between two frames: beyond π its direction is ambiguous."""
     angles = [unit == "rad" for unit in system.units]
     return bool(np.any(np.abs(np.diff(run.state[:, angles], axis=0)) > _LARGEST_TURN))
 
 
 def record(system: AbstractMechanism, split: Split, seed: int) -> tuple[Run, int]:
-    """The run of one seed, and how many were drawn from it until one passed the screen (1 without a screen).
+    """Simulate the run of one seed, and count the runs sampled until one passed the screen (1 without a screen).
 
     Raises:
         KeycldError: none of a thousand passed.
@@ -51,14 +52,15 @@ def record(system: AbstractMechanism, split: Split, seed: int) -> tuple[Run, int
 def make_part(
     system: AbstractMechanism, split: Split, seeds: tuple[int, ...], attributes: Mapping[str, Any], path: Path
 ) -> None:
-    """Write the runs of `seeds` to `path`."""
+    """Write the runs of `seeds` to `path`, with the inputs that `attributes["input_names"]` lists."""
+    acting = [system.input_names.index(name) for name in attributes["input_names"]]
     recorded = [record(system, split, seed) for seed in seeds]
     runs = [run for run, _ in recorded]
     state = np.stack([run.state for run in runs])
     image, renderer = draw_in_worker(system, state.reshape(-1, state.shape[-1]))
     trajectories = Trajectories(
         time=runs[0].time,
-        input=np.stack([run.input for run in runs]).astype(np.float32),
+        input=np.stack([run.input[..., acting] for run in runs]).astype(np.float32),
         image=image.reshape(*state.shape[:2], *image.shape[1:]),
         state=state,
         state_derivative=np.stack([run.state_derivative for run in runs]),

@@ -1,4 +1,4 @@
-"""Makes a data set: every split of a protocol and the sweeps, in parallel, to be taken up when interrupted."""
+"""Makes a data set: every split of a protocol and the sweeps, in parallel; an interrupted call is resumed."""
 
 import contextlib
 import json
@@ -12,14 +12,14 @@ from typing import Any
 from keycld import __version__
 from keycld._errors import KeycldError
 from keycld._files import make_folder, write_text
-from keycld.data.dataset import PARTIAL
-from keycld.data.finish import finish
-from keycld.data.parts import Part, make_part
-from keycld.data.protocols import PROTOCOLS, Split, splits
-from keycld.data.sampled import Store, sampled_job
-from keycld.data.statistics import read_statistics
-from keycld.data.store import join, read
-from keycld.data.sweeps import make_sweeps
+from keycld.data.describe.finish import finish
+from keycld.data.format.folder import PARTIAL, read_statistics
+from keycld.data.format.reading import read
+from keycld.data.format.writing import join
+from keycld.data.generate.parts import Part, make_part
+from keycld.data.generate.protocols import PROTOCOLS, Split, splits
+from keycld.data.generate.sampled import Store, sampled_job
+from keycld.data.generate.sweeps import make_sweeps
 from keycld.systems import (
     AbstractDrawnSystem,
     AbstractMechanism,
@@ -30,22 +30,22 @@ from keycld.systems import (
     run_in_processes,
 )
 
-# Frames of a part: some seconds of drawing on a CPU, the most that a kill loses.
+# Frames of a part: some seconds of rendering on a CPU, the most that a kill loses.
 _PART_FRAMES = 500
-# Seconds for a part that JAX draws, which cannot hang as GL can; molecular dynamics simulates for many minutes.
+# Seconds for a part that JAX renders, which cannot hang as GL can; molecular dynamics simulates for many minutes.
 _PATIENT = 4 * 3600.0
 
 
 @dataclass(frozen=True)
 class Progress:
-    """How far a long job is.
+    """The progress of a long job.
 
     Attributes:
         done: frames that exist.
         total: frames of the whole set.
-        fresh: frames of `done` drawn in this call; `fresh / seconds` is the speed.
+        fresh: frames of `done` rendered in this call; `fresh / seconds` is the speed.
         seconds: since the call.
-        what: the split that was just worked on.
+        what: the split of the last part.
     """
 
     done: int
@@ -60,11 +60,11 @@ class Made:
     """The outcome of `make_data`.
 
     Attributes:
-        folder: where the data lie.
-        fresh: False where the finished data were there already.
-        frames: drawn in this call; fewer than the set's where interrupted work was taken up.
+        folder: where the data are.
+        fresh: False if the finished data were there already.
+        frames: rendered in this call; fewer than those of the set if the call resumed an interrupted one.
         seconds: of this call.
-        renderer: what drew the pictures, for example the GL renderer's name.
+        renderer: what rendered the pictures, for example the name of the GL renderer.
     """
 
     folder: Path
@@ -92,30 +92,30 @@ def make_data(
 ) -> Made:
     """Make the data set of a system (`docs/data.md`, `docs/datasets.md`).
 
-    The same arguments give the same numbers, however many workers there are and however often it is
-    interrupted; pictures depend on the GL driver too. What is done lies in `OUT/.partial` until all is, and
-    the same call takes it up. Finished data are left as they are.
+    The same arguments give the same numbers, for any number of workers and interruptions; pictures depend on the GL
+    driver too. Unfinished work stays in `OUT/.partial`, and the same call resumes it. Finished data are left as they
+    are. `/input` holds the inputs that act in the set, and none of the others.
 
     Args:
         system: a name of `keycld.systems.names()`, or a system.
         out: the folder; by default `data/NAME`.
         protocol: of a system with motors `"keycld-2022"` (arXiv v1, the default) or `"keycld-2024"` (journal version);
             of a set of "Which priors matter?" one of the system's `protocols`, by default the first.
-        control: which inputs act, instead of the protocol's choice; not in test_long, where none does.
-        start: how runs start, instead of the protocol's choice; not in test_long.
+        control: which inputs act, instead of the protocol's choice. In test_long they are zero.
+        start: how runs begin, instead of the protocol's choice; not in test_long.
         clip: whether the motors limit the input, instead of the protocol's choice.
-        input: "constant" in a run (every protocol's choice) or a "random-walk"; not in test_long, where none acts.
+        input: "constant" in a run (every protocol's choice) or a "random-walk"; not in test_long.
         size: "full" is the published size; "default" is smaller where that takes hours (`docs/datasets.md`).
-        store: "states", drawn when they are read, or "images"; by default states wherever a picture is a function of
-            the state.
+        store: "states", rendered when they are read, or "images"; by default states wherever a picture is a function
+            of the state.
         runs: numbers of runs by split, for small sets: `{"train": 2, "test": 1}`.
         frames: numbers of frames of a run by split.
         workers: renderer processes, at most four; by default one a core.
         progress: called after each part.
 
     Raises:
-        KeycldError: an unknown name or a bad number; a folder that cannot be written, or that holds other
-        data; a full disk; no GL.
+        KeycldError: an unknown name or a bad number; a folder that cannot be written, or that holds other data; a full
+            disk; no GL.
 
     Good values: the defaults. 52,900 frames take two to three minutes on two cores without a GPU.
     """
@@ -131,7 +131,7 @@ def make_data(
     else:
         assert isinstance(system, AbstractMechanism)
         if size != "default" or store == "states":
-            raise KeycldError(f"{system.name} has one size and pictures that MuJoCo draws: leave out size and store.")
+            raise KeycldError(f"{system.name} has one size and pictures that MuJoCo renders: leave out size and store.")
         protocol = protocol or PROTOCOLS[0]
         plan = splits(protocol, control=control, start=start, clip=clip, input=input, runs=runs, frames=frames)
         for split in plan:
@@ -147,24 +147,24 @@ def make_data(
         return Made(folder, False, 0, time.monotonic() - began, renderer)
     _begin(folder, recipe)
     patience = {"time_out": _PATIENT} if isinstance(system, AbstractDrawnSystem) else {}
-    drawn = _draw(parts, workers, progress, began, patience)
+    rendered = _render(parts, workers, progress, began, patience)
     for name in names:
         join([part.path for part in parts if part.split == name], folder / f"{name}.h5")
     renderer = read(parts[0].path, images=False, rows=slice(0, 1)).attributes["renderer"]
     seconds = time.monotonic() - began
-    made = {"recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1), "frames_drawn": drawn}
+    made = {"recipe": recipe, "renderer": renderer, "seconds": round(seconds, 1), "frames_drawn": rendered}
     finish(folder, made)
     shutil.rmtree(folder / PARTIAL)
-    return Made(folder, True, drawn, time.monotonic() - began, renderer)
+    return Made(folder, True, rendered, time.monotonic() - began, renderer)
 
 
 def _plain(value: Any) -> Any:
-    """The value as JSON gives it back (tuples become lists), so that it can be compared."""
+    """Convert a value to what JSON gives back (tuples become lists), so that it can be compared."""
     return json.loads(json.dumps(value))
 
 
 def _finished(folder: Path, recipe: dict[str, Any], names: Sequence[str]) -> bool:
-    """Whether the folder holds these very data; raises where it holds others."""
+    """Tell whether the folder holds exactly these data; raise if it holds others."""
     found = read_statistics(folder)
     if found is None:
         return False
@@ -194,7 +194,7 @@ def _changed_settings(wanted: Sequence[dict[str, Any]], found: Sequence[dict[str
 
 
 def _begin(folder: Path, recipe: dict[str, Any]) -> None:
-    """Claim the folder for these data, or take up what an interrupted call left."""
+    """Claim the folder for these data, or resume what an interrupted call left."""
     marker = folder / PARTIAL / "recipe.json"
     if marker.exists():
         _same(recipe, json.loads(marker.read_text()), folder)
@@ -207,13 +207,20 @@ def _begin(folder: Path, recipe: dict[str, Any]) -> None:
     write_text(marker, json.dumps(recipe))
 
 
+def _acting(system: AbstractMechanism, control: str) -> tuple[str, ...]:
+    """Name the inputs that act in a control mode (`Conditions.control`)."""
+    modes = {"none": (), "under": system.input_names[:1], "full": system.input_names}
+    return modes.get(control, (control,))
+
+
 def _parts(system: AbstractMechanism, plan: Sequence[Split], protocol: str, partial: Path) -> list[Part]:
     attributes = {
         "system": system.name,
         "dt": system.dt,
         "state_names": system.state_names,
         "units": system.units,
-        "input_names": system.input_names,
+        # Of all files: in test_long, where no input acts, those of the other files are zero.
+        "input_names": _acting(system, plan[0].conditions.control),
         "generator": f"keycld {__version__}",
         "protocol": protocol,
     }
@@ -230,7 +237,7 @@ def _parts(system: AbstractMechanism, plan: Sequence[Split], protocol: str, part
     return [*parts, Part("sweeps", frames, path, Task(make_sweeps, (system, attributes, path)))]
 
 
-def _draw(
+def _render(
     parts: Sequence[Part],
     workers: int | None,
     progress: Callable[[Progress], None] | None,
