@@ -14,19 +14,25 @@ LAWS = Path(keycld.__file__).parent / "control" / "laws"
 
 def law_titles() -> str:
     """Return name, title and settings of the control laws, read from their files: importing them would import JAX."""
-    found = []
+    lines = []
     for path in sorted(LAWS.glob("*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and "register_law" in map(ast.unparse, node.decorator_list):
-                title = (ast.get_docstring(node) or "").partition("\n")[0]
-                fields = [field for field in node.body if isinstance(field, ast.AnnAssign) and field.value is not None]
-                values = {ast.unparse(field.target): ast.unparse(field.value) for field in fields if field.value}
-                own = [ast.unparse(field.target) for field in fields if "ClassVar" not in ast.unparse(field.annotation)]
-                settings = ", ".join(f"{name}={values[name]}" for name in own)
-                found.append(
-                    f"{ast.literal_eval(values['name'])}: {title}" + (f" Settings: {settings}." if own else "")
-                )
-    return "\n".join(found)
+                lines.append(_law_title(node))
+    return "\n".join(lines)
+
+
+def _law_title(law: ast.ClassDef) -> str:
+    title = (ast.get_docstring(law) or "").partition("\n")[0]
+    name, settings = "", []
+    for field in law.body:
+        if isinstance(field, ast.AnnAssign) and field.value is not None:
+            target = ast.unparse(field.target)
+            if target == "name":
+                name = ast.literal_eval(field.value)
+            elif "ClassVar" not in ast.unparse(field.annotation):
+                settings.append(f"{target}={ast.unparse(field.value)}")
+    return f"{name}: {title}" + (f" Settings: {', '.join(settings)}." if settings else "")
 
 
 def control(
@@ -60,6 +66,7 @@ def control(
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         goal: upright, or a picture (.png) of the pose to reach, as large as the training pictures.
+        law: The control law.
         set: Settings of the law, such as kp=8.
         limit: The largest |u|; no limit by default. mpc and random need one; the usual training data have 3.
         actuators: Names of the inputs that act; by default all inputs in the model's training data.

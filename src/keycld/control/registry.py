@@ -107,14 +107,17 @@ def law_named(name: str, settings: Mapping[str, Any] | None = None) -> AbstractC
     if name not in laws:
         raise unknown("control law", name, laws)
     defaults = {field.name: field.default for field in dataclasses.fields(laws[name])}
-    for key, value in (settings or {}).items():
+    values = dict(settings or {})
+    for key, value in values.items():
         if not defaults:
             raise KeycldError(f"the control law '{name}' has no settings: leave out {key}.")
         if key not in defaults:
             raise unknown(f"setting of the control law '{name}'", key, defaults)
-        if isinstance(defaults[key], float) and not isinstance(value, int | float):
-            raise KeycldError(f"setting {key} of the control law '{name}' is a number, not '{value}'.")
-    return laws[name](**(settings or {}))
+        if isinstance(defaults[key], float):
+            if not isinstance(value, int | float):
+                raise KeycldError(f"setting {key} of the control law '{name}' is a number, not '{value}'.")
+            values[key] = float(value)
+    return laws[name](**values)
 
 
 def check_positive(**values: float) -> None:
