@@ -21,7 +21,7 @@ class Selection:
         only: Those with this in their name, such as acrobot-node2.
         seeds: Such as 0,1,2. Default: the suite's.
         systems: Such as pendulum,acrobot. Default: all.
-        models: Of keycld, keycld-nc, node2, fc. Default: the suite's.
+        models: Such as keycld,node2; `keycld models` lists all. Default: the suite's.
         preset: The recipe of the training.
         set: Settings of the preset to change, as in `keycld train`; such results lie in a folder of their own.
         root: Folder of data/ and runs/.
@@ -41,7 +41,7 @@ class Selection:
     def experiments(self) -> "tuple[Experiment, ...]":
         """The experiments that are meant."""
         from keycld.benchmarks import parse_seeds, suite_named
-        from keycld.cli.train import parse_setting
+        from keycld.cli.settings import parse_setting
 
         return suite_named(self.suite).select(
             only=self.only,
@@ -59,7 +59,10 @@ class Selection:
         return Place(self.root, self.results)
 
 
-def run(selection: Selection) -> None:
+Chosen = Annotated[Selection, tyro.conf.arg(name="")]
+
+
+def run(selection: Chosen) -> None:
     """Do what is missing or failed: data, training, scores. Kill it at any moment; the same command goes on."""
     from keycld.benchmarks import run_experiments
 
@@ -73,7 +76,7 @@ def run(selection: Selection) -> None:
         )
 
 
-def status(selection: Selection) -> None:
+def status(selection: Chosen) -> None:
     """Tell which experiments are done, running, failed, stale or missing."""
     from keycld.benchmarks import status_table
 
@@ -81,7 +84,7 @@ def status(selection: Selection) -> None:
     print(f"{status_table(experiments, place)}\n{_counts(experiments, place)}")
 
 
-def table(selection: Selection, *, out: Path | None = None) -> None:
+def table(selection: Chosen, *, out: Path | None = None) -> None:
     """Print the paper's table with ours, trivial predictors' and published scores, for each protocol.
 
     Args:
@@ -103,7 +106,7 @@ def table(selection: Selection, *, out: Path | None = None) -> None:
         print(f"written: {out / 'table.md'}, {out / 'table.csv'}")
 
 
-def figures(selection: Selection, *, out: Path | None = None) -> None:
+def figures(selection: Chosen, *, out: Path | None = None) -> None:
     """Draw the error over time (Fig. 3), sheets of all models (Figs. 4 and 13 to 15) and movies side by side.
 
     Args:
@@ -117,7 +120,7 @@ def figures(selection: Selection, *, out: Path | None = None) -> None:
         print(path)
 
 
-def report(selection: Selection, *, out: Path | None = None) -> None:
+def report(selection: Chosen, *, out: Path | None = None) -> None:
     """Write one page with tables, errors over time, sheets and movies; opens in any browser, no network.
 
     Args:

@@ -14,7 +14,7 @@ from keycld.evaluation.metrics import frame_errors, statistics, valid_prediction
 from keycld.evaluation.predicting import Progress, free_motion, law_of, observe, predict
 from keycld.evaluation.probe import fit_probe, probe_scores
 from keycld.evaluation.protocols import Protocol
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 if TYPE_CHECKING:
     from keycld.data import DataSet, Trajectories

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Shaped, UInt8
 
 from keycld._errors import KeycldError
 from keycld.mechanics import Motion, State
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 Progress = Callable[[int, int], None]
 

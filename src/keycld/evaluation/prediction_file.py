@@ -9,7 +9,7 @@ from keycld._errors import KeycldError
 from keycld._files import replacing
 from keycld.data import open_file, read
 from keycld.evaluation.predicting import Progress, batch_size, predict
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 _CHUNK = 16
 

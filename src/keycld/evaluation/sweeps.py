@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from keycld.evaluation.evaluate import Evaluation
 from keycld.evaluation.predicting import law_of, observe
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
