@@ -69,7 +69,7 @@ def test_without_constraints_the_integrator_is_stoermer_verlet(getkey):
 
 
 def test_node2_accelerates_by_position_velocity_and_input(getkey):
-    law = configured("node2").build(SCENE, getkey()).law
+    law = configured("node2").build(SCENE, getkey()).moving_law
     x, v, u = (jax.random.normal(getkey(), (n,)) for n in (2, 2, 1))
     assert [k.shape for k in law.perceptron.kernels] == [(5, 64), (64, 64), (64, 64), (64, 2)]
     for k in range(3):

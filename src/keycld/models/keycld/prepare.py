@@ -14,6 +14,8 @@ from keycld.mechanics import Motion, State, fit_motions
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
+# Mean frame and deviation are those of at least so many trajectories, if there are as many.
+_MEASURED = 1000
 # Compiled once for all stages that fit.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -158,11 +160,12 @@ def _velocity_prior(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *,
 
 
 def _mean_and_deviation(data: Resident) -> tuple[jax.Array, jax.Array]:
-    # In NumPy and one trajectory at a time: uint8 sums stay exact and no float copy of the data is made.
-    image = np.asarray(data.image)
-    mean = np.zeros(image.shape[2:])
-    for trajectory in image:
-        mean += trajectory.mean(0) / len(image)
+    # One trajectory at a time, in NumPy: uint8 sums stay exact, and no float copy of the data is made.
+    count = data.image.shape[0]
+    some = range(0, count, max(1, count // _MEASURED))
+    mean = np.zeros(data.image.shape[2:])
+    for i in some:
+        mean += np.asarray(data.image[i]).mean(0) / len(some)
     mean /= 255.0
-    variance = np.mean([np.mean((trajectory / 255.0 - mean) ** 2) for trajectory in image])
+    variance = np.mean([np.mean((np.asarray(data.image[i]) / 255.0 - mean) ** 2) for i in some])
     return jnp.asarray(mean, jnp.float32), jnp.asarray(np.sqrt(variance), jnp.float32)
