@@ -48,8 +48,8 @@ def test_papers_estimator_and_renderer_have_the_papers_number_of_weights(getkey)
 
 
 @pytest.mark.parametrize(("unet", "stride"), [(PaperUNet, 1), (LightUNet, 2)])
-def test_estimator_sees_a_moved_disc_where_it_moved(unet, stride, getkey):
-    """Fully convolutional: moving the picture by a few cells moves the logits with it, away from the border."""
+def test_estimator_follows_a_moved_disc(unet, stride, getkey):
+    """Fully convolutional: moving the image by a few cells moves the logits with it, away from the border."""
     network = unet(3 * stride**2, 1, 8, key=getkey())
     disc = jnp.zeros((64, 64, 3)).at[28:36, 28:36].set(1.0)
     shift = 4 * stride
@@ -70,9 +70,9 @@ def test_standardised_mean_frame_is_zero_and_statistics_have_no_gradient(getkey)
     assert all(not leaf.any() for leaf in jax.tree.leaves(gradient))
 
 
-def test_renderer_with_a_silent_network_draws_its_background(getkey):
+def test_renderer_whose_network_gives_zero_renders_its_background(getkey):
     background = jax.random.uniform(getkey(), (16, 16, 3), minval=0.1, maxval=0.9)
     network = LightUNet(8, 12, 8, key=getkey())
-    silent = eqx.tree_at(lambda n: n.out, network, jax.tree.map(jnp.zeros_like, network.out))
-    renderer = Renderer(silent, jnp.zeros((8, 8, 7)), background, 2, 0.1)
+    zero = eqx.tree_at(lambda n: n.out, network, jax.tree.map(jnp.zeros_like, network.out))
+    renderer = Renderer(zero, jnp.zeros((8, 8, 7)), background, 2, 0.1)
     np.testing.assert_allclose(renderer(jnp.zeros((1, 2))), background, atol=1e-5)

@@ -14,16 +14,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Selection:
-    """Which experiments, and where they lie.
+    """Which experiments, and the folders that they use.
 
     Args:
         suite: keycld (three systems, four models, two given frames) or keycld-2024 (eight configurations, three).
-        only: Those with this in their name, such as acrobot-node2.
-        seeds: Such as 0,1,2. Default: the suite's.
-        systems: Such as pendulum,acrobot. Default: all.
-        models: Such as keycld,node2; `keycld models` lists all. Default: the suite's.
-        preset: The recipe of the training.
-        set: Settings of the preset to change, as in `keycld train`; such results lie in a folder of their own.
+        only: Experiments with this text in their name, such as acrobot-node2.
+        seeds: Such as 0,1,2; by default the suite's.
+        systems: Such as pendulum,acrobot; by default all.
+        models: Such as keycld,node2; by default the suite's. `keycld models` lists all.
+        preset: Preset of the training.
+        set: Settings of the preset to change, such as vision.steps=500. The results get a folder of their own.
         root: Folder of data/ and runs/.
         results: Folder of the results.
     """
@@ -39,7 +39,7 @@ class Selection:
     results: Path = Path("results")
 
     def experiments(self) -> "tuple[Experiment, ...]":
-        """The experiments that are meant."""
+        """Return the selected experiments."""
         from keycld.benchmarks import parse_seeds, suite_named
         from keycld.cli.settings import parse_setting
 
@@ -53,7 +53,7 @@ class Selection:
         )
 
     def place(self) -> "Place":
-        """Where they lie."""
+        """Return the folders of data, runs and results."""
         from keycld.benchmarks import Place
 
         return Place(self.root, self.results)
@@ -63,7 +63,7 @@ Chosen = Annotated[Selection, tyro.conf.arg(name="")]
 
 
 def run(selection: Chosen) -> None:
-    """Do what is missing or failed: data, training, scores. Kill it at any moment; the same command goes on."""
+    """Run what is missing or has failed: data, training, scores. It may be killed; the same command continues."""
     from keycld.benchmarks import run_experiments
 
     experiments, place = selection.experiments(), selection.place()
@@ -72,12 +72,12 @@ def run(selection: Chosen) -> None:
     if counts.get("failed"):
         raise KeycldError(
             f"{counts['failed']} of {sum(counts.values())} experiments failed: `keycld bench status "
-            f"{selection.suite}` says how; the same command tries them again."
+            f"{selection.suite}` shows the reasons, and the same command runs them again."
         )
 
 
 def status(selection: Chosen) -> None:
-    """Tell which experiments are done, running, failed, stale or missing."""
+    """Print which experiments are done, running, failed, stale or missing."""
     from keycld.benchmarks import status_table
 
     experiments, place = selection.experiments(), selection.place()
@@ -85,11 +85,11 @@ def status(selection: Chosen) -> None:
 
 
 def table(selection: Chosen, *, out: Path | None = None) -> None:
-    """Print the paper's table with ours, trivial predictors' and published scores, for each protocol.
+    """Print the paper's table for each protocol: our scores, those of trivial predictors, and the published ones.
 
     Args:
         selection: Which experiments.
-        out: Folder for the same as table.md and table.csv.
+        out: Folder in which to write the table as table.md and table.csv too.
     """
     from keycld.benchmarks import as_csv, as_markdown, as_text, provenance, tables
 
@@ -107,11 +107,11 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
 
 
 def figures(selection: Chosen, *, out: Path | None = None) -> None:
-    """Draw the error over time (Fig. 3), sheets of all models (Figs. 4 and 13 to 15) and movies side by side.
+    """Plot the error over time (Fig. 3), and make sheets (Figs. 4 and 13 to 15) and movies that compare the models.
 
     Args:
         selection: Which experiments.
-        out: Folder of the PNG, MP4 and GIF files; ROOT/runs/SUITE/PRESET/media unless told.
+        out: Folder of the PNG, MP4 and GIF files; by default ROOT/runs/SUITE/PRESET/media.
     """
     from keycld.benchmarks import illustrate
 
@@ -121,11 +121,11 @@ def figures(selection: Chosen, *, out: Path | None = None) -> None:
 
 
 def report(selection: Chosen, *, out: Path | None = None) -> None:
-    """Write one page with tables, errors over time, sheets and movies; opens in any browser, no network.
+    """Write one page with tables, errors over time, sheets and movies. It needs a browser, but no network.
 
     Args:
         selection: Which experiments.
-        out: Folder of report.html and its media/; ROOT/runs/SUITE/PRESET unless told.
+        out: Folder of report.html and its media/; by default ROOT/runs/SUITE/PRESET.
     """
     from keycld.reports import write_suite_report
 

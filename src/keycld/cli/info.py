@@ -4,7 +4,7 @@ import os
 
 
 def info() -> None:
-    """Tell what is installed, which devices JAX sees, and which renderer MuJoCo uses."""
+    """Print versions of packages, the devices that JAX uses, and MuJoCo's OpenGL renderer."""
     from keycld import KeycldError
     from keycld.systems import is_software, renderer_name
     from keycld.training import environment

@@ -1,4 +1,4 @@
-"""The command line: finds the verb, then parses its arguments, then imports what it needs."""
+"""The command line: find the verb, parse its arguments, then import what the verb needs."""
 
 import os
 import sys
@@ -13,12 +13,12 @@ from keycld.cli import bench, control, data, demo, evaluate, info, models, predi
 
 
 def data_sets() -> None:
-    """Make, check, look at or import data sets: see `keycld data --help`."""
+    """Make, check, show or import data sets: see `keycld data --help`."""
     main(["data", "--help"])
 
 
 def benchmarks() -> None:
-    """Run the papers' experiments, see how far they are, make their tables and figures: see `keycld bench --help`."""
+    """Run the papers' experiments and make their tables and figures: see `keycld bench --help`."""
     main(["bench", "--help"])
 
 
@@ -37,7 +37,7 @@ VERBS: dict[str, Callable] = {
 GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
     "data": (
         {"make": data.make, "check": data.check, "show": data.show, "import": data.import_},
-        "Make, check, look at and import data sets.",
+        "Make, check, show and import data sets.",
     ),
     "bench": (
         {
@@ -47,19 +47,19 @@ GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
             "figures": bench.figures,
             "report": bench.report,
         },
-        "Run the papers' experiments, see how far they are, make their tables and figures.",
+        "Run the papers' experiments and make their tables and figures.",
     ),
 }
-DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving thing from video, then predict and control it.
+DESCRIPTION = f"""keycld {__version__}: learn the physics of a mechanical system from video, then predict and control it.
 
-Start with `keycld demo`. Then: `keycld train cartpole` (makes the data), `keycld eval RUN`, `keycld control RUN`,
-`keycld report RUN`; RUN is a folder under runs/. `keycld data --help` lists what can be done with data sets."""
+`keycld demo` shows everything on one system. Step by step: `keycld train cartpole` (makes the data first),
+`keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one verb; returns the exit code: 0, 2 for a mistake the user can mend, 130 when interrupted."""
+    """Run one verb and return the exit code: 0, 2 for an error that the user can fix, 130 when interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
-    # JAX would take three quarters of a GPU's memory at its first use and leave none to a renderer.
+    # By default JAX reserves three quarters of a GPU's memory at its first use; a renderer needs some of it.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     # JAX warns at every child process; ours are ffmpeg and fresh interpreters, which start with exec.
     warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
@@ -80,20 +80,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"keycld: {error}", file=sys.stderr)
         return 2
     except BrokenPipeError:
-        # The reader, such as `head`, has seen enough; Python's own flush at the end must not complain either.
+        # The reader, such as `head`, has closed the pipe. Without this, Python's own flush at the end fails too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
         print(f"keycld: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nkeycld: interrupted; the same command goes on from where it was.", file=sys.stderr)
+        print("\nkeycld: interrupted; the same command continues.", file=sys.stderr)
         return 130
     return 0
 
 
 def entry() -> None:
-    """What the installed command `keycld` calls."""
+    """Run the installed command `keycld`."""
     sys.exit(main())
 
 

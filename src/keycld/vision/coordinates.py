@@ -10,12 +10,12 @@ from jaxtyping import Array, Float
 
 
 def image_grid(height: int, width: int, stride: int = 1) -> Float[Array, "rows columns 2"]:
-    """Positions of the cells of a `height × width` image in the image plane.
+    """Return the positions (x, y) of the cells of an image, in image-plane units.
 
-    **Arguments:**
-
-    - `height`, `width`: size of the image in pixels.
-    - `stride`: a cell is a square of `stride × stride` pixels, placed at its middle. 1: the pixels themselves.
+    Args:
+        height: rows of the image, pixels.
+        width: columns of the image, pixels.
+        stride: a cell is a square of `stride × stride` pixels and lies at its middle; with 1 the cells are the pixels.
     """
     unit = 2.0 / (min(height, width) - 1)
     rows = jnp.arange(height // stride) * stride + (stride - 1) / 2
@@ -28,9 +28,16 @@ def image_grid(height: int, width: int, stride: int = 1) -> Float[Array, "rows c
 def spatial_softmax(
     logits: Float[Array, "rows columns K"], grid: Float[Array, "rows columns 2"]
 ) -> tuple[Float[Array, "K 2"], Float[Array, "rows columns K"]]:
-    """Keypoints as the expectation of position under a softmax over all cells, eq. (8).
+    """Return keypoints as the expected position under a softmax over all cells, eq. (8) of the paper.
 
-    Returns the keypoints and the normalised heat maps, each of which sums to one.
+    xₖ = Σ_p p · exp(s_k(p)) / Σ_p' exp(s_k(p')), summed over the cells p.
+
+    Args:
+        logits: one map s_k for each keypoint.
+        grid: positions of the cells, from `image_grid`.
+
+    Returns:
+        The keypoints in the units of `grid`, and the heat maps, each of which sums to one.
     """
     maps = jax.nn.softmax(logits.reshape(-1, logits.shape[-1]), axis=0)
     keypoints = jnp.einsum("pk,pd->kd", maps, grid.reshape(-1, 2), precision="highest")
@@ -40,7 +47,13 @@ def spatial_softmax(
 def gaussian_maps(
     keypoints: Float[Array, "K 2"], grid: Float[Array, "rows columns 2"], sigma: float
 ) -> Float[Array, "rows columns K"]:
-    """One Gaussian blob a keypoint, exp(−‖p − x‖² / 2σ²) at each cell p, eq. (9); σ = 0.1 in the paper."""
+    """Return one Gaussian map for each keypoint, exp(−‖p − x‖² / 2σ²) at each cell p, eq. (9) of the paper.
+
+    Args:
+        keypoints: positions x, image-plane units.
+        grid: positions of the cells, from `image_grid`.
+        sigma: σ, image-plane units. Good values: 0.1 (the paper), 0.05 for targets of heat maps.
+    """
     # exp(-(a² + b²)) = exp(-a²) exp(-b²): two short vectors instead of a map of exponentials.
     x = jnp.exp(-((grid[0, :, 0][:, None] - keypoints[None, :, 0]) ** 2) / (2 * sigma**2))
     y = jnp.exp(-((grid[:, 0, 1][:, None] - keypoints[None, :, 1]) ** 2) / (2 * sigma**2))

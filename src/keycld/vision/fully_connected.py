@@ -1,4 +1,4 @@
-"""Observer and renderer without a map of the image: the ablation FC (appendix A.4)."""
+"""Estimator and renderer with dense layers instead of heat maps: the ablation FC (appendix A.4)."""
 
 import equinox as eqx
 import jax
@@ -15,11 +15,14 @@ _COARSEST = 4
 class DenseEstimator(AbstractEstimator):
     """Convolution blocks and max-pools down to 4×4 cells, then dense layers 256 and 2K.
 
-    The "keypoints" are any 2K numbers: nothing ties them to places in the image, and there are no heat maps.
+    The "keypoints" are any 2K numbers: nothing ties them to positions in the image, and there are no heat maps.
 
-    - `blocks`: of widths `width`, 2 `width`, 4 `width`, …; as many as halve the shorter side down to four.
-    - `hidden`, `out`: dense layers.
-    - `standardise`, `stride`: as in `KeypointEstimator`.
+    Attributes:
+        blocks: widths `width`, 2 `width`, 4 `width`, …; as many blocks as halve the shorter side down to four cells.
+        hidden: the dense layer of 256 units.
+        out: the dense layer of 2K units.
+        standardise: as in `KeypointEstimator`.
+        stride: as in `KeypointEstimator`.
     """
 
     blocks: tuple[Block, ...]
@@ -50,7 +53,7 @@ class DenseEstimator(AbstractEstimator):
         self.stride = stride
 
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
-        """Regresses the coordinates of one frame with values in [0, 1]."""
+        """Estimate the coordinates of one frame with values in [0, 1]."""
         x = frame if self.standardise is None else self.standardise(frame)
         x = space_to_depth(x, self.stride)
         for block in self.blocks:
@@ -62,8 +65,14 @@ class DenseEstimator(AbstractEstimator):
 class DenseRenderer(AbstractRenderer):
     """Dense layers 256 and 4×4 cells, then convolution blocks and upsampling back to the size of the frame.
 
-    - `hidden`, `cells`: dense layers. `blocks`: mirror those of `DenseEstimator`. `out`: the last convolution.
-    - `background`, `stride`: as in `Renderer`. `coarse`: rows and columns of cells.
+    Attributes:
+        hidden: the dense layer of 256 units.
+        cells: the dense layer that gives the coarse cells.
+        blocks: those of `DenseEstimator` in reverse order.
+        out: the last convolution.
+        background: as in `AbstractRenderer`.
+        coarse: rows and columns of coarse cells.
+        stride: as in `Renderer`.
     """
 
     hidden: eqx.nn.Linear
@@ -98,13 +107,13 @@ class DenseRenderer(AbstractRenderer):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the cells, doubled by each block, times the stride."""
+        """Height and width of the frames, pixels."""
         rows, columns = self.coarse
         scale = self.stride * 2 ** len(self.blocks)
         return rows * scale, columns * scale
 
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
-        """Draws one frame with values in (0, 1)."""
+        """Render one frame with values in (0, 1)."""
         x = self.cells(jax.nn.relu(self.hidden(keypoints.reshape(-1))))
         x = x.reshape(*self.coarse, -1)
         for block in self.blocks:
@@ -113,14 +122,20 @@ class DenseRenderer(AbstractRenderer):
 
 
 def halvings_to_four(size: tuple[int, int], stride: int) -> tuple[int, tuple[int, int]]:
-    """How often a picture at `1 / stride` resolution can be halved until its shorter side is four cells."""
+    """Return how often an image at `1 / stride` resolution is halved, and its rows and columns of cells after that.
+
+    The shorter side then has four cells.
+
+    Raises:
+        KeycldError: the sides of the image cannot be halved so often, or are too short.
+    """
     rows, columns = size[0] // stride, size[1] // stride
     halvings = 0
     while min(rows, columns) // 2**halvings > _COARSEST:
         halvings += 1
     if halvings == 0 or any(side % (stride * 2**halvings) for side in size):
         raise KeycldError(
-            f"fully connected networks take pictures whose sides are multiples of {stride * 2 ** max(halvings, 1)} "
+            f"fully connected networks need images whose sides are multiples of {stride * 2 ** max(halvings, 1)} "
             f"pixels and longer than {_COARSEST * stride}, not {size[0]}×{size[1]}: resize them."
         )
     return halvings, (rows // 2**halvings, columns // 2**halvings)

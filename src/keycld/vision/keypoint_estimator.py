@@ -1,4 +1,4 @@
-"""From a frame to keypoints: heat maps of a U-Net through a spatial softmax."""
+"""From a frame to keypoints: a U-Net gives heat maps, a spatial softmax gives positions."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -13,11 +13,12 @@ from keycld.vision.unet import AbstractUNet
 
 
 class Observation(NamedTuple):
-    """What an observer sees in one frame.
+    """What an estimator finds in one frame.
 
-    - `keypoints`: positions in image-plane units `[K, 2]`.
-    - `heat_maps`: probability of each keypoint over the image `[K, rows, columns]`; each map sums to one. None for
-      an observer without maps.
+    Attributes:
+        keypoints: positions, image-plane units.
+        heat_maps: the probability of each keypoint over the image; each map sums to one. None for an estimator without
+            maps.
     """
 
     keypoints: Float[Array, "K 2"]
@@ -25,35 +26,40 @@ class Observation(NamedTuple):
 
 
 class Standardise(eqx.Module):
-    """(frame − mean frame) / deviation; both are statistics of the training data, never trained.
+    """(frame − mean frame) / deviation.
 
-    What never moves becomes zero, so that the first gradients already speak of what does.
+    Pixels that never change become zero, so that the first gradients already come from what moves.
+
+    Attributes:
+        mean: mean frame of the training data; not trained.
+        deviation: standard deviation of the training pixels from it; not trained.
     """
 
     mean: Float[Array, "H W 3"]
     deviation: Float[Array, ""]
 
     def __call__(self, frame: Float[Array, "H W 3"]) -> Float[Array, "H W 3"]:
-        """Standardises one frame."""
+        """Standardise one frame."""
         mean, deviation = jax.lax.stop_gradient((self.mean, self.deviation))
         return (frame - mean) / deviation
 
 
 class AbstractEstimator(eqx.Module):
-    """From one frame to keypoints. Estimators `standardise` it by statistics of the data, or take it as it is."""
+    """From one frame to keypoints."""
 
     @abstractmethod
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
-        """Finds the keypoints of one frame with values in [0, 1]."""
+        """Estimate the keypoints of one frame with values in [0, 1]."""
 
 
 class KeypointEstimator(AbstractEstimator):
-    """The observer of the paper (section 3, appendix A.4): one heat map a keypoint, then eq. (8).
+    """The keypoint estimator of the paper (section 3, appendix A.4): one heat map for each keypoint, then eq. (8).
 
-    - `network`: a U-Net from `3 · stride²` channels to K logit maps.
-    - `standardise`: statistics of the data, or None for frames as they are (the paper).
-    - `stride`: pixels a cell of the heat map has on a side. With 2, each 2×2 patch becomes twelve channels,
-      so nothing is lost and the network does a quarter of the work; the expectation (8) stays sub-pixel.
+    Attributes:
+        network: a U-Net from `3 · stride²` channels to K logit maps.
+        standardise: applied to the frame first; None for frames as they are (the paper).
+        stride: side of a heat-map cell in pixels. With 2, each 2×2 patch becomes twelve channels: no information is
+            lost, the network does a quarter of the work, and the expectation of eq. (8) stays sub-pixel.
     """
 
     network: AbstractUNet
@@ -61,16 +67,16 @@ class KeypointEstimator(AbstractEstimator):
     stride: int = eqx.field(static=True)
 
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
-        """Finds the keypoints of one frame with values in [0, 1]."""
+        """Estimate the keypoints of one frame with values in [0, 1]."""
         return self.locate(self.logits(frame))
 
     def logits(self, frame: Float[Array, "H W 3"]) -> Float[Array, "rows columns K"]:
-        """The network's maps before the softmax."""
+        """Return the maps before the softmax."""
         x = frame if self.standardise is None else self.standardise(frame)
         return self.network(space_to_depth(x, self.stride))
 
     def locate(self, logits: Float[Array, "rows columns K"]) -> Observation:
-        """Softmax and expectation, eq. (8)."""
+        """Return the keypoints and heat maps of some logits, eq. (8)."""
         rows, columns, _ = logits.shape
         grid = image_grid(rows * self.stride, columns * self.stride, self.stride)
         keypoints, maps = spatial_softmax(logits, grid)

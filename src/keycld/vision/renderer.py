@@ -15,8 +15,8 @@ from keycld.vision.unet import AbstractUNet
 class AbstractRenderer(eqx.Module):
     """From keypoints to one frame.
 
-    Renderers have a `background`: the mean frame of the training data, never trained, or None (the paper). They then
-    add to the background's logit and start from a perfect still picture.
+    A renderer may have a `background`, the mean frame of the training data, which is not trained. It then adds to the
+    logit of the background, so that training begins at the mean frame. The paper's renderer has none.
     """
 
     @property
@@ -26,19 +26,21 @@ class AbstractRenderer(eqx.Module):
 
     @abstractmethod
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
-        """Draws one frame with values in (0, 1)."""
+        """Render one frame with values in (0, 1)."""
 
 
 class Renderer(AbstractRenderer):
     """The renderer of the paper (section 3, appendix A.4).
 
-    Its input are constant feature maps, which it learns and which hold the still parts of the picture, and
-    one Gaussian map a keypoint, eq. (9); its output passes a logistic function.
+    The network's input is one Gaussian map for each keypoint, eq. (9), and constant feature maps. These are learned and
+    describe the parts of the image that do not move. The output passes a logistic function.
 
-    - `network`: a U-Net from `features + K` channels to `3 · stride²`.
-    - `features`: the learned constant maps `[H/stride, W/stride, features]`.
-    - `background`: see `AbstractRenderer`.
-    - `sigma`: width of the blobs in image-plane units; 0.1 in the paper.
+    Attributes:
+        network: a U-Net from `features + K` channels to `3 · stride²`.
+        features: the learned constant maps.
+        background: see `AbstractRenderer`.
+        stride: side of a cell in pixels.
+        sigma: width of the Gaussian maps, image-plane units; 0.1 in the paper.
     """
 
     network: AbstractUNet
@@ -49,12 +51,12 @@ class Renderer(AbstractRenderer):
 
     @property
     def size(self) -> tuple[int, int]:
-        """Of the features, times the stride."""
+        """Height and width of the frames, pixels."""
         rows, columns, _ = self.features.shape
         return rows * self.stride, columns * self.stride
 
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
-        """Draws one frame with values in (0, 1)."""
+        """Render one frame with values in (0, 1)."""
         grid = image_grid(*self.size, self.stride)
         blobs = gaussian_maps(keypoints, grid, self.sigma)
         x = self.network(jnp.concatenate([self.features, blobs], axis=-1))
@@ -62,7 +64,7 @@ class Renderer(AbstractRenderer):
 
 
 def on_background(logits: Float[Array, "H W 3"], background: Float[Array, "H W 3"] | None) -> Float[Array, "H W 3"]:
-    """A frame from logits, added to those of the background if there is one."""
+    """Return the frame of some logits, added to those of the background if there is one."""
     if background is not None:
         still = jnp.clip(jax.lax.stop_gradient(background), 0.002, 0.998)
         logits = logits + jnp.log(still) - jnp.log1p(-still)

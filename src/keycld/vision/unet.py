@@ -1,4 +1,4 @@
-"""The two U-Nets: the paper's, and a light one for processors without an accelerator."""
+"""Two U-Nets: the paper's, and a light one for CPUs."""
 
 from abc import abstractmethod
 
@@ -15,7 +15,7 @@ class AbstractUNet(eqx.Module):
 
     @abstractmethod
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Applies the network to one example."""
+        """Apply the network to one example."""
 
 
 class PaperUNet(AbstractUNet):
@@ -36,7 +36,7 @@ class PaperUNet(AbstractUNet):
         self.out = Conv(width, outputs, key=keys[5])
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Applies the network to one example."""
+        """Apply the network to one example."""
         fine = self.down[0](x)
         middle = self.down[1](max_pool(fine))
         coarse = self.down[2](max_pool(middle))
@@ -46,10 +46,10 @@ class PaperUNet(AbstractUNet):
 
 
 class LightUNet(AbstractUNet):
-    """The same shape of network with skips by addition: half of the arithmetic at equal width.
+    """A U-Net of the same depth with skips by addition: half of the arithmetic at equal width.
 
-    In the paper's network most of the work is in the two convolutions behind the concatenations. Here the
-    coarse features are first brought to the width of the finer ones (1×1, before upsampling) and added.
+    In the paper's network most of the work is in the two convolutions after the concatenations. Here a 1×1 convolution
+    reduces the coarse features to the width of the finer ones before upsampling, and the two are added.
     """
 
     down: tuple[Block, Block, Block]
@@ -69,12 +69,12 @@ class LightUNet(AbstractUNet):
             Conv(2 * width, width, size=1, key=keys[4]),
         )
         self.up = (Block(2 * width, 2 * width, key=keys[5]), Block(width, width, key=keys[6]))
-        # A quiet start: flat heat maps, and a renderer that draws its background.
+        # Small initial outputs: flat heat maps, and a renderer that gives its background.
         out = Conv(width, outputs, key=keys[7])
         self.out = eqx.tree_at(lambda conv: conv.kernel, out, 0.1 * out.kernel)
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Applies the network to one example."""
+        """Apply the network to one example."""
         fine = self.down[0](x)
         middle = self.down[1](max_pool(fine))
         coarse = self.down[2](max_pool(middle))
