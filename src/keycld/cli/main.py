@@ -50,7 +50,7 @@ GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
         "Run the papers' experiments and make their tables and figures.",
     ),
 }
-DESCRIPTION = f"""keycld {__version__}: learn the physics of a mechanical system from video, then predict and control it.
+DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving system from video, then predict and control it.
 
 `keycld demo` shows everything on one system. Step by step: `keycld train cartpole` (makes the data first),
 `keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints."""

@@ -81,7 +81,7 @@ def max_pool(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
 
 
 def upsample(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """Nearest-neighbour upsampling by two."""
+    """Repeat each pixel twice in both directions: nearest-neighbour upsampling."""
     return jnp.repeat(jnp.repeat(x, 2, axis=0), 2, axis=1)
 
 
