@@ -28,7 +28,7 @@ class VisionLoss(AbstractLoss):
       grows by equal factors for three tenths, and is then the last one of `constraint`; above zero. What ties one
       keypoint to the world tells keypoints apart, and must bind at once; what ties keypoints to each other holds
       from the first step where they move as one, and would keep them from ever finding their parts
-      (`docs/recipe.md` has the figures).
+      (`results/recipe.md` has the figures).
     - `joints`: share of the steps in which such constraints are mended by joints alone (`_ends`). A joint has one
       right place. Where it is not there yet, the keypoint at the other end could make the distance constant too, by
       being seen beside its part, a pixel to and fro, and no dynamics moves like that.
