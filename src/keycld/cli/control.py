@@ -6,10 +6,9 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-import keycld
-from keycld import KeycldError
+from keycld._errors import KeycldError
 
-LAWS = Path(keycld.__file__).parent / "control" / "laws"
+LAWS = Path(__file__).parent.parent / "control" / "laws"
 
 
 def law_titles() -> str:

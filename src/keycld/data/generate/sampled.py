@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from keycld import __version__
+from keycld._version import __version__
 from keycld._errors import KeycldError, unknown
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write

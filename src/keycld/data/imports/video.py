@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from keycld import __version__
+from keycld._version import __version__
 from keycld._errors import KeycldError
 from keycld.data.describe.finish import finish
 from keycld.data.format.folder import CONSTRAINTS
