@@ -88,11 +88,11 @@ def fake_evaluation(protocol, vpt, trajectories=4):
     scores = {
         "protocol": {"name": protocol.name, "given": protocol.given, "horizon": protocol.horizon},
         "dt": 0.05,
-        "vpt": {f"{factor:g}": {**summary, "frames": [1] * trajectories} for factor in protocol.factors},
+        "vpt": {f"{threshold:g}": {**summary, "frames": [1] * trajectories} for threshold in protocol.thresholds},
         "mse": 1e-3,
         "epsilon": 1e-3,
         "baselines": {
-            name: {"vpt": {f"{factor:g}": {"mean": 0.2} for factor in protocol.factors}} for name in baselines
+            name: {"vpt": {f"{threshold:g}": {"mean": 0.2} for threshold in protocol.thresholds}} for name in baselines
         },
         "masses": [1.0],
     }
