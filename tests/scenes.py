@@ -63,17 +63,11 @@ def write_data(folder: Path, *, count: int = 6, frames: int = 12) -> Path:
 
 TINY = {
     "width": 8,
-    "vision_steps": 6,
-    "candidates": 2,
-    "trial": 2,
-    "vision_batch": 4,
-    "dynamics_steps": 6,
-    "dynamics_batch": 4,
-    "dynamics_horizons": [5, 6],
-    "joint_steps": 6,
-    "joint_horizons": [6, 8],
-    "long_steps": 0,
     "groups": 2,
+    "vision": {"steps": 6, "candidates": 2, "trial": 2, "batch": 4},
+    "dynamics": {"steps": 6, "batch": 4, "horizons": [5, 6]},
+    "joint": {"steps": 6, "horizons": [6, 8]},
+    "long": {"steps": 0},
 }
 """Settings of the `fast` preset that train in seconds."""
 

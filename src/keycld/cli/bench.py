@@ -59,7 +59,10 @@ class Selection:
         return Place(self.root, self.results)
 
 
-def run(selection: Selection) -> None:
+Chosen = Annotated[Selection, tyro.conf.arg(name="")]
+
+
+def run(selection: Chosen) -> None:
     """Do what is missing or failed: data, training, scores. Kill it at any moment; the same command goes on."""
     from keycld.benchmarks import run_experiments
 
@@ -73,7 +76,7 @@ def run(selection: Selection) -> None:
         )
 
 
-def status(selection: Selection) -> None:
+def status(selection: Chosen) -> None:
     """Tell which experiments are done, running, failed, stale or missing."""
     from keycld.benchmarks import status_table
 
@@ -81,7 +84,7 @@ def status(selection: Selection) -> None:
     print(f"{status_table(experiments, place)}\n{_counts(experiments, place)}")
 
 
-def table(selection: Selection, *, out: Path | None = None) -> None:
+def table(selection: Chosen, *, out: Path | None = None) -> None:
     """Print the paper's table with ours, trivial predictors' and published scores, for each protocol.
 
     Args:
@@ -103,7 +106,7 @@ def table(selection: Selection, *, out: Path | None = None) -> None:
         print(f"written: {out / 'table.md'}, {out / 'table.csv'}")
 
 
-def figures(selection: Selection, *, out: Path | None = None) -> None:
+def figures(selection: Chosen, *, out: Path | None = None) -> None:
     """Draw the error over time (Fig. 3), sheets of all models (Figs. 4 and 13 to 15) and movies side by side.
 
     Args:
@@ -117,7 +120,7 @@ def figures(selection: Selection, *, out: Path | None = None) -> None:
         print(path)
 
 
-def report(selection: Selection, *, out: Path | None = None) -> None:
+def report(selection: Chosen, *, out: Path | None = None) -> None:
     """Write one page with tables, errors over time, sheets and movies; opens in any browser, no network.
 
     Args:

@@ -9,7 +9,7 @@ import tyro
 
 from keycld import KeycldError, __version__
 from keycld._errors import unknown
-from keycld.cli import bench, control, data, demo, evaluate, info, predict, report, train
+from keycld.cli import bench, control, data, demo, evaluate, info, models, predict, report, train
 
 
 def data_sets() -> None:
@@ -31,6 +31,7 @@ VERBS: dict[str, Callable] = {
     "control": control.control,
     "report": report.report,
     "bench": benchmarks,
+    "models": models.models,
     "info": info.info,
 }
 GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
@@ -72,13 +73,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 0
         if words and not words[0].startswith("-") and words[0] not in verbs:
             raise unknown("verb", words[0], verbs)
-        tyro.extras.subcommand_cli_from_dict(
-            verbs,
-            prog=prog,
-            description=description,
-            args=words or ["--help"],
-            config=(tyro.conf.OmitArgPrefixes,),
-        )
+        if words[:1] == ["train"]:
+            verbs = {**verbs, "train": train.with_settings(words)}
+        tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=description, args=words or ["--help"])
     except KeycldError as error:
         print(f"keycld: {error}", file=sys.stderr)
         return 2

@@ -11,7 +11,7 @@ from jaxtyping import Array, Float, Int
 
 from keycld._errors import KeycldError
 from keycld.mechanics import ConstrainedLagrangian, State
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 
 class Belief(eqx.Module):

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float, UInt8
 from keycld._errors import KeycldError
 from keycld.control.base import lagrangian_of
 from keycld.mechanics import Motion, State
-from keycld.models import AbstractModel, shared_constants
+from keycld.models.base import AbstractModel
 
 _REACH = 0.15
 """Image-plane units (five pixels of 64) between a goal and the nearest pose that the constraints allow."""
@@ -42,7 +42,7 @@ def goal_of(model: AbstractModel, picture: UInt8[np.ndarray, "H W 3"], epsilon: 
             f"by {error:.1e}, more than the mean image does (ε = {epsilon:.1e}); give a picture of the system from the "
             "same camera."
         )
-    constants = shared_constants(model)
+    constants = model.constants
     return seen if constants is None else nearest_pose(model, seen, constants)
 
 

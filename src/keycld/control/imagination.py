@@ -10,7 +10,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 from keycld._errors import KeycldError
 from keycld.control.base import lagrangian_of
 from keycld.mechanics import AbstractDynamics, ConstrainedLagrangian, Motion, State
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 
 class Imagined(NamedTuple):

@@ -8,7 +8,7 @@ from jaxtyping import Array, Bool, Float, Shaped
 
 from keycld.control.base import AbstractController, Belief
 from keycld.control.observer import AbstractObserver
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel
 
 
 class Aboard(NamedTuple):

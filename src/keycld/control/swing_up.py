@@ -24,7 +24,7 @@ from keycld.control.pilot import Aboard, Pilot
 from keycld.control.plant import Plant
 from keycld.control.tracking import PlanAndTrack
 from keycld.evaluation import Evaluation
-from keycld.models import AbstractModel, shared_constants
+from keycld.models.base import AbstractModel
 from keycld.systems import AbstractMujocoSystem, AbstractSystem
 
 LAWS = ("shaping", "paper", "mpc", "zero", "random")
@@ -147,7 +147,7 @@ def _observer(model: AbstractModel, dt: float, assignment: Assignment) -> Abstra
     law = lagrangian_of(model)
     if assignment.observer == "differences":
         return BackwardDifference(law, dt)
-    dynamics, constants = model.dynamics, shared_constants(model)  # pyright: ignore[reportAttributeAccessIssue]
+    dynamics, constants = model.dynamics, model.constants  # pyright: ignore[reportAttributeAccessIssue]
     if assignment.law == "mpc":
         # A plan trusts the dynamics, and errors of velocity are what it cannot mend.
         return PredictCorrect(law, dynamics, dt, acceleration_error=1.0, adaptation=0.0, constants=constants)

@@ -6,6 +6,7 @@ from keycld.data.clips import Clip as Clip
 from keycld.data.clips import RandomFrames as RandomFrames
 from keycld.data.clips import Resident as Resident
 from keycld.data.clips import StartGroups as StartGroups
+from keycld.data.clips import TrainingData as TrainingData
 from keycld.data.clips import WholeTrajectories as WholeTrajectories
 from keycld.data.clips import resident as resident
 from keycld.data.dataset import DataSet as DataSet
@@ -42,6 +43,7 @@ __all__ = [
     "StartGroups",
     "Sweep",
     "Trajectories",
+    "TrainingData",
     "WholeTrajectories",
     "check",
     "image_statistics",

@@ -24,7 +24,7 @@ class Resident(eqx.Module):
     image: UInt8[Array, "N T H W 3"] | DrawnLater
     u: Float[Array, "N *T l"]
     dt: Float[Array, ""]
-    keypoints: Float[Array, "N T dim"] | None = None
+    cached: Float[Array, "N T dim"] | None = None
 
 
 def resident(trajectories: Trajectories) -> Resident:
@@ -39,6 +39,20 @@ def resident(trajectories: Trajectories) -> Resident:
     return Resident(image, jnp.asarray(trajectories.input), jnp.asarray(trajectories.dt, jnp.float32))
 
 
+class TrainingData:
+    """Stub until branch data lands."""
+
+    def __init__(self, data: Resident):
+        self._data = data
+        self.shape = data.image.shape
+
+    def at(self, step: int) -> Resident:
+        return self._data
+
+    def until(self, step: int) -> int | None:
+        return None
+
+
 class Clip(eqx.Module):
     """Frames of one trajectory in order, gaps allowed; a sampler gives a batch of them, stacked.
 
@@ -51,7 +65,7 @@ class Clip(eqx.Module):
     """
 
     frames: Float[Array, "*batch F H W 3"] | None
-    keypoints: Float[Array, "*batch F dim"] | None
+    cached: Float[Array, "*batch F dim"] | None
     index: Int[Array, "*batch F"]
     u: Float[Array, "*batch l"] | Float[Array, "*batch span l"]
     dt: Float[Array, "*batch"]
@@ -156,21 +170,37 @@ class StartGroups(AbstractSampler):
 
 
 class WholeTrajectories(AbstractSampler):
-    """One whole trajectory a step, each once an epoch in a new random order (the paper's batches)."""
+    """Whole trajectories, each once an epoch in a new random order (the paper's batches hold one).
+
+    Args:
+        length: frames of a trajectory.
+        batch: trajectories a step.
+    """
 
     length: int = eqx.field(static=True)
+    batch: int = eqx.field(static=True, default=1)
 
     def span(self) -> int:
-        """The length of a trajectory."""
+        """Return the length of a trajectory."""
         return self.length
 
+    def check(self, data: Resident) -> None:
+        """Raise KeycldError where the trajectories are too short or too few."""
+        super().check(data)
+        if self.batch > data.image.shape[0]:
+            raise KeycldError(
+                f"a batch of {self.batch} whole trajectories needs as many, but there are {data.image.shape[0]}: set "
+                "batch to fewer."
+            )
+
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """The trajectory of this step."""
+        """Return the trajectories of this step."""
         count = data.image.shape[0]
-        order = jax.random.permutation(jax.random.fold_in(key, step // count), count)
-        trajectory = order[step % count][None]
-        index = jnp.arange(self.length)[None, :]
-        return _gather(data, trajectory, jnp.zeros(1, int), index, self.length)
+        epoch, place = jnp.divmod(step, count // self.batch)
+        order = jax.random.permutation(jax.random.fold_in(key, epoch), count)
+        trajectory = jax.lax.dynamic_slice_in_dim(order, place * self.batch, self.batch)
+        index = jnp.broadcast_to(jnp.arange(self.length)[None, :], (self.batch, self.length))
+        return _gather(data, trajectory, jnp.zeros(self.batch, int), index, self.length)
 
 
 def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span: int, *, frames: bool = True) -> Clip:
@@ -179,7 +209,7 @@ def _gather(data: Resident, trajectory: Array, start: Array, index: Array, span:
     u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]
     return Clip(
         frames=data.image[rows, columns].astype(jnp.float32) / 255.0 if frames else None,
-        keypoints=None if frames or data.keypoints is None else data.keypoints[rows, columns],
+        cached=None if frames or data.cached is None else data.cached[rows, columns],
         index=index,
         u=u,
         dt=jnp.broadcast_to(data.dt, trajectory.shape),

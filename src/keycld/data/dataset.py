@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keycld._errors import KeycldError, unknown
-from keycld.data.clips import Resident, resident
+from keycld.data.clips import Resident, TrainingData, resident
 from keycld.data.drawn import with_pictures
 from keycld.data.rules import EVERY
 from keycld.data.statistics import read_statistics
@@ -78,6 +78,9 @@ class DataSet:
             KeycldError: as `split`, and where there are neither pictures nor a renderer of ours.
         """
         return resident(read(self.path(name)))
+
+    def training_data(self, seed: int) -> TrainingData:
+        return TrainingData(self.resident())
 
     def train(self) -> Trajectories:
         """What models learn from."""

@@ -1,35 +1,21 @@
-"""Models: each a small composition of vision and mechanics behind one interface."""
+"""Models by name: what a config is, and the registry. Importable without JAX; `keycld.models.base` has the contract."""
 
-from keycld.models.base import AbstractModel as AbstractModel
-from keycld.models.base import Prediction as Prediction
-from keycld.models.beginning import Beginning as Beginning
-from keycld.models.keycld import KeyCLD as KeyCLD
-from keycld.models.losses import AbstractLoss as AbstractLoss
-from keycld.models.losses import CollocationLoss as CollocationLoss
-from keycld.models.losses import PredictionLoss as PredictionLoss
-from keycld.models.losses import TrackLoss as TrackLoss
-from keycld.models.losses import VisionLoss as VisionLoss
-from keycld.models.short_rollout_loss import ShortRolloutLoss as ShortRolloutLoss
-from keycld.models.starts import AbstractStart as AbstractStart
-from keycld.models.starts import CentralStart as CentralStart
-from keycld.models.starts import DifferenceStart as DifferenceStart
-from keycld.models.starts import FittedStart as FittedStart
-from keycld.models.starts import shared_constants as shared_constants
+from keycld.models.config import ModelConfig as ModelConfig
+from keycld.models.registry import ModelEntry as ModelEntry
+from keycld.models.registry import config_for as config_for
+from keycld.models.registry import find_presets as find_presets
+from keycld.models.registry import models as models
+from keycld.models.registry import register_model as register_model
+from keycld.models.registry import register_preset as register_preset
+from keycld.models.scene import Scene as Scene
 
 __all__ = [
-    "AbstractLoss",
-    "AbstractModel",
-    "AbstractStart",
-    "Beginning",
-    "CentralStart",
-    "CollocationLoss",
-    "DifferenceStart",
-    "FittedStart",
-    "KeyCLD",
-    "Prediction",
-    "PredictionLoss",
-    "ShortRolloutLoss",
-    "TrackLoss",
-    "VisionLoss",
-    "shared_constants",
+    "ModelConfig",
+    "ModelEntry",
+    "Scene",
+    "config_for",
+    "find_presets",
+    "models",
+    "register_model",
+    "register_preset",
 ]

@@ -1,4 +1,4 @@
-"""What every model offers, so that any model runs on any data set and is scored by any protocol."""
+"""What every model offers, and what some can do besides, so that any model runs on any data and under any protocol."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -11,75 +11,78 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.mechanics import State
+from keycld.mechanics import ConstrainedLagrangian, State
 from keycld.vision import Observation
 
 
 class Prediction(NamedTuple):
-    """Frames 0 … T−1 of a trajectory and the states that they were drawn from, stacked along time."""
+    """Frames 0 … T−1 of a trajectory and the states that they were rendered from, stacked along time."""
 
     frames: Float[Array, "T H W 3"]
     states: State
 
 
 class AbstractModel(eqx.Module):
-    """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches."""
+    """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches.
+
+    A model that can do more says so by its type: it also inherits from some of the interfaces below.
+    """
 
     @property
     @abstractmethod
     def context(self) -> int:
         """The least number of consecutive frames that `infer` needs."""
 
-    @property
-    @abstractmethod
-    def reversible(self) -> bool:
-        """Whether `rollout` accepts a negative `dt`."""
-
     @abstractmethod
     def anchor(self, n: int) -> int:
-        """The index of the frame that the state inferred from `n` frames belongs to."""
+        """Return the index of the frame that the state inferred from `n` frames belongs to."""
 
     @abstractmethod
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
-        """The state at frame `anchor(n)` from `n` consecutive frames in [0, 1] and the inputs meanwhile."""
+        """Estimate the state at frame `anchor(n)` from `n` consecutive frames in [0, 1] and the inputs meanwhile.
+
+        Args:
+            frames: consecutive frames, n ≥ `context`.
+            dt: seconds between them.
+            u: constant `[l]`, or `[≥ n − 1, l]` from the first of these frames on.
+        """
 
     @abstractmethod
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
-        """The given state and the `steps` that follow it, stacked.
+        """Return the given state and the `steps` that follow it, stacked.
 
-        `u` is `[l]`, constant, or `[steps, l]`; with negative `dt` the motion runs backward and the inputs,
-        still given in the order of time, are read in reverse.
+        `u` is `[l]`, constant, or `[steps, l]`. With negative `dt`, which only a `Reversible` model accepts, the motion
+        runs backward and the inputs, still in the order of time, are read in reverse.
         """
 
     @abstractmethod
     def render(self, state: State) -> Float[Array, "H W 3"]:
-        """The picture of a state."""
-
-    @abstractmethod
-    def observe(self, frame: Float[Array, "H W 3"]) -> Observation | None:
-        """The keypoints seen in one frame; None for a model without keypoints."""
-
-    @abstractmethod
-    def keypoints(self, state: State) -> Float[Array, "K 2"] | None:
-        """The keypoints of a state in image-plane units; None for a model without keypoints."""
+        """Render the picture of a state."""
 
     def predict(
-        self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."], length: int
+        self,
+        frames: Float[Array, "n H W 3"],
+        dt: Float[Array, ""],
+        u: Float[Array, "..."],
+        length: int,
+        first: int = 0,
     ) -> Prediction:
-        """Frames 0 … `length` − 1 from the given ones and the inputs alone.
+        """Predict frames 0 … `length` − 1 of a trajectory from some of its frames and its inputs alone.
 
-        The state inferred at the anchor is rolled out to the end and, for the frames before the anchor, back
-        to the start; the given frames are reconstructed too.
+        The state inferred at the anchor is rolled out to the end, and back to frame 0. A model that is not `Reversible`
+        cannot tell what was before its anchor: there the given frames stand for themselves, and the anchor's state is
+        repeated.
 
-        **Arguments:**
+        Args:
+            frames: n ≥ `context` consecutive frames, the trajectory's frames `first` … `first` + n − 1.
+            dt: seconds between frames.
+            u: `[l]`, constant, or `[length, l]`, of which `u[k]` is held from frame k to k + 1.
+            length: how many frames to return.
+            first: number of the first given frame. Above 0 the model must be `Reversible`.
 
-        - `frames`: the first `n ≥ context` frames.
-        - `dt`: seconds between frames.
-        - `u`: `[l]`, constant, or `[length, l]`, of which `u[k]` is held from frame k to k + 1.
-        - `length`: how many frames to return.
-
-        **Raises:** KeycldError for fewer frames than `context` and for a given frame that holds something not finite
-        (outside of `jit`, where values can be read).
+        Raises:
+            KeycldError: too few frames; a given frame that holds something not finite (outside of `jit`, where values
+                can be read); frames before the given ones are asked of a model that cannot run backward.
         """
         if frames.ndim != 4 or frames.shape[0] < self.context:
             raise KeycldError(
@@ -90,17 +93,131 @@ class AbstractModel(eqx.Module):
             bad = np.flatnonzero(~np.isfinite(np.asarray(frames)).all(axis=(1, 2, 3)))
             if bad.size:
                 raise KeycldError(f"given frame {bad[0]} holds NaN or infinity; give finite values in [0, 1].")
-        states = self.unroll(self.infer(frames, dt, u), self.anchor(frames.shape[0]), dt, u, length)
-        return Prediction(jax.vmap(self.render)(states), states)
+        if first > 0 and not isinstance(self, Reversible):
+            raise KeycldError(
+                f"{type(self).__name__} cannot run backward, so it predicts nothing before frame {first}: give the "
+                "first frames."
+            )
+        anchor = self.anchor(frames.shape[0])
+        state = self.infer(frames, dt, u if u.ndim == 1 else u[first:])
+        states = self.unroll(state, first + anchor, dt, u, length)
+        pictures = jax.vmap(self.render)(states)
+        if not isinstance(self, Reversible):
+            pictures = jnp.concatenate([frames[:anchor].astype(pictures.dtype), pictures[anchor:]])
+        return Prediction(pictures, states)
 
     def unroll(self, state: State, anchor: int, dt: Float[Array, ""], u: Float[Array, "..."], length: int) -> State:
-        """The states of frames 0 … `length` − 1, stacked, from the one at frame `anchor`.
+        """Return the states of frames 0 … `length` − 1, stacked, from the one at frame `anchor`.
 
-        `u` is `[l]`, constant, or `[≥ length − 1, l]` from frame 0 on.
+        Args:
+            state: at frame `anchor`.
+            anchor: its frame; from 0 to `length` − 1.
+            dt: seconds between frames, positive.
+            u: `[l]`, constant, or `[≥ length − 1, l]` from frame 0 on.
+            length: how many states to return.
         """
         constant = u.ndim == 1
         states = self.rollout(state, dt, u if constant else u[anchor : length - 1], length - 1 - anchor)
-        if anchor > 0:
+        if anchor == 0:
+            return states
+        if isinstance(self, Reversible):
             back = self.rollout(state, -dt, u if constant else u[:anchor], anchor)
-            states = jax.tree.map(lambda past, future: jnp.concatenate([past[:0:-1], future]), back, states)
-        return states
+            earlier = jax.tree.map(lambda past: past[:0:-1], back)
+        else:
+            earlier = jax.tree.map(lambda here: jnp.broadcast_to(here[None], (anchor, *here.shape)), state)
+        return jax.tree.map(lambda past, future: jnp.concatenate([past, future]), earlier, states)
+
+
+class Reversible(eqx.Module):
+    """A model whose `rollout` accepts a negative `dt`."""
+
+
+class HasKeypoints(eqx.Module):
+    """A model whose state places named points in the image."""
+
+    @abstractmethod
+    def observe(self, frame: Float[Array, "H W 3"]) -> Observation:
+        """Estimate the keypoints of one frame."""
+
+    @abstractmethod
+    def keypoints(self, state: State) -> Float[Array, "K 2"]:
+        """Return the keypoints of a state in image-plane units."""
+
+    @abstractmethod
+    def at_rest(self, keypoints: Float[Array, "K 2"]) -> State:
+        """Return the state with these keypoints and without velocity; its constants are those of the keypoints."""
+
+
+class HasEnergies(eqx.Module):
+    """A model that knows kinetic and potential energy, up to one common factor and a constant."""
+
+    @abstractmethod
+    def kinetic_energy(self, state: State) -> Float[Array, ""]:
+        """Return T."""
+
+    @abstractmethod
+    def potential_energy(self, state: State) -> Float[Array, ""]:
+        """Return V."""
+
+
+class HasConstraints(eqx.Module):
+    """A model whose motion keeps constraints Φ at constants."""
+
+    @abstractmethod
+    def constraint_deviation(self, state: State) -> Float[Array, "n"]:
+        """Return Φ(x) − constants of the state, in the constraints' units; n may be 0."""
+
+
+class HasInputMatrix(eqx.Module):
+    """A model on which inputs act as forces g(x) u."""
+
+    @abstractmethod
+    def input_matrix(self, state: State) -> Float[Array, "dim l"]:
+        """Return g; l may be 0."""
+
+
+class HasLagrangian(HasEnergies, HasConstraints, HasInputMatrix):
+    """A model that is moved by a constrained Lagrangian in Cartesian coordinates, eq. (6); controllers shape it."""
+
+    @property
+    @abstractmethod
+    def law(self) -> ConstrainedLagrangian:
+        """M, V, g, Φ and dissipation."""
+
+    @property
+    @abstractmethod
+    def constants(self) -> Float[Array, " n"] | None:
+        """Values of Φ that all trajectories share, `[n]`; None where each trajectory has its own."""
+
+    def kinetic_energy(self, state: State) -> Float[Array, ""]:
+        """Return T = ½ vᵀMv."""
+        return self.law.kinetic_energy(*state.coordinates)
+
+    def potential_energy(self, state: State) -> Float[Array, ""]:
+        """Return V(x)."""
+        return self.law.potential_energy(state.coordinates.x)
+
+    def constraint_deviation(self, state: State) -> Float[Array, "n"]:
+        """Return Φ(x) − constants."""
+        return self.law.constraint(state.coordinates.x, state.parameters) - state.parameters["constants"]
+
+    def input_matrix(self, state: State) -> Float[Array, "dim l"]:
+        """Return g(x)."""
+        x = state.coordinates.x
+        return jnp.zeros((x.shape[0], 0)) if self.law.input_matrix is None else self.law.input_matrix(x)
+
+
+CAPABILITIES = {
+    "reversible": Reversible,
+    "keypoints": HasKeypoints,
+    "energies": HasEnergies,
+    "constraints": HasConstraints,
+    "input matrix": HasInputMatrix,
+    "lagrangian": HasLagrangian,
+}
+"""Interfaces by the name that `keycld models` prints."""
+
+
+def capabilities(model: AbstractModel) -> tuple[str, ...]:
+    """Return the names of all interfaces that a model offers."""
+    return tuple(name for name, kind in CAPABILITIES.items() if isinstance(model, kind))

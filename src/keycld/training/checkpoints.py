@@ -1,26 +1,41 @@
-"""Checkpoints that survive a killed process: written under a temporary name, fsynced, renamed."""
+"""Checkpoints that survive a killed process: written under a temporary name, fsynced, renamed. Arrays have names."""
 
 import json
 import os
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
 
 from keycld._errors import KeycldError
 from keycld._files import sync, write_text
 
+WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
 
-def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any], keep: int = 2) -> Path:
-    """Writes `folder/checkpoints/NAME/{leaves.eqx, position.json}` and then points `latest` at it.
 
-    **Arguments:**
+def save_checkpoint(
+    folder: Path, name: str, weights: PyTree, state: PyTree, position: dict[str, Any], keep: int = 2
+) -> Path:
+    """Write `folder/checkpoints/NAME/` and then point `latest` at it.
 
-    - `folder`: the run folder.
-    - `tree`: any pytree of arrays: weights, optimiser state, cached keypoints.
-    - `position`: what else the run needs to go on (stage, step, …), as JSON.
-    - `keep`: how many checkpoints stay; older ones are deleted after the new one is safe.
+    Args:
+        folder: the run folder.
+        name: of the checkpoint.
+        weights: the model; its arrays go to `weights.safetensors` by name.
+        state: what else training needs, such as the optimiser's state: a pytree whose arrays go to
+            `state.safetensors`.
+        position: what remains, as values of JSON: stage, step, …
+        keep: how many checkpoints stay; older ones are deleted after the new one is safe.
+
+    Raises:
+        KeycldError: the disk is full or the folder may not be written; the previous checkpoint is intact.
     """
     root = folder / "checkpoints"
     temporary, final = root / f".{name}.partial", root / name
@@ -28,10 +43,8 @@ def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any]
         root.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(temporary, ignore_errors=True)
         temporary.mkdir()
-        with (temporary / "leaves.eqx").open("wb") as file:
-            eqx.tree_serialise_leaves(file, tree)
-            file.flush()
-            os.fsync(file.fileno())
+        save_arrays(temporary / WEIGHTS, weights)
+        save_arrays(temporary / STATE, state)
         write_text(temporary / "position.json", json.dumps(position, indent=1))
         # A killed process may have written this very step already; it holds the same bits.
         if final.exists():
@@ -40,9 +53,9 @@ def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any]
             os.replace(temporary, final)
         sync(root)
         write_text(root / "latest", name)
-    except OSError as error:
+    except (OSError, SafetensorError) as error:
         raise KeycldError(
-            f"cannot write the checkpoint {final}: {error.strerror}; free some space or choose another --out. "
+            f"cannot write the checkpoint {final}: {error}; free some space or choose another --out. "
             "The previous checkpoint is intact."
         ) from error
     others = sorted((p for p in root.iterdir() if p.is_dir() and p != final), key=lambda p: p.stat().st_mtime)
@@ -52,25 +65,84 @@ def save_checkpoint(folder: Path, name: str, tree: Any, position: dict[str, Any]
 
 
 def latest_checkpoint(folder: Path) -> Path | None:
-    """The folder of the newest complete checkpoint of a run, or None."""
+    """Return the folder of the newest complete checkpoint of a run, or None."""
     pointer = folder / "checkpoints" / "latest"
     return pointer.parent / pointer.read_text().strip() if pointer.exists() else None
 
 
 def read_position(checkpoint: Path) -> dict[str, Any]:
-    """The JSON part of a checkpoint."""
+    """Return the JSON part of a checkpoint.
+
+    Raises:
+        KeycldError: it is damaged.
+    """
     try:
         return json.loads((checkpoint / "position.json").read_text())
     except (OSError, ValueError) as error:
         raise KeycldError(f"checkpoint {checkpoint} is damaged ({error}); delete it and train again.") from error
 
 
-def load_leaves(checkpoint: Path, like: Any) -> Any:
-    """The arrays of a checkpoint in the shape of `like`."""
+def named_arrays(tree: PyTree) -> dict[str, np.ndarray]:
+    """Return all arrays of a pytree by their place in it, such as `dynamics.law.mass.root`."""
+    return {name: np.asarray(leaf) for name, leaf in _named(tree) if _is_array(leaf)}
+
+
+def save_arrays(path: Path, tree: PyTree) -> None:
+    """Write all arrays of a pytree by name, and wait until they are on the disk."""
+    save_file({name: np.asarray(value, order="C") for name, value in named_arrays(tree).items()}, path)
+    sync(path)
+
+
+def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = None) -> PyTree:
+    """Return `like` with the arrays of a file in place of its own.
+
+    Args:
+        path: what `save_arrays` wrote.
+        like: a pytree whose arrays, or `jax.ShapeDtypeStruct`s, give names and shapes.
+        renamed: today's name, or its beginning, by that of earlier versions.
+
+    Raises:
+        KeycldError: the file is missing or damaged, or lacks an array or holds one of another shape.
+    """
     try:
-        return eqx.tree_deserialise_leaves(checkpoint / "leaves.eqx", like)
-    except (OSError, ValueError, RuntimeError, EOFError) as error:
-        first = str(error).splitlines()[0]
-        raise KeycldError(
-            f"checkpoint {checkpoint} does not fit this recipe or is damaged ({first}); train again into a new --out."
-        ) from error
+        saved = load_file(path)
+    except (OSError, SafetensorError, ValueError) as error:
+        raise KeycldError(f"{path} is missing or damaged ({error}): train again into a new --out.") from error
+    return fill(saved, like, f"{path} does not fit this model", renamed)
+
+
+def fill(saved: Mapping[str, np.ndarray], like: PyTree, problem: str, renamed: Mapping[str, str] | None = None) -> PyTree:
+    """Return `like` with arrays by name in place of its own, in the types of its own.
+
+    Raises:
+        KeycldError: begins with `problem`; an array is missing, is not the model's, or has another shape.
+    """
+    arrays = {_today(name, renamed or {}): value for name, value in saved.items()}
+    wanted = {name: leaf for name, leaf in _named(like) if _is_array(leaf)}
+    for name in {**wanted, **arrays}:
+        if name not in arrays or name not in wanted:
+            what = "is missing" if name not in arrays else "belongs to nothing"
+            raise KeycldError(f"{problem}: '{name}' {what}; use the keycld that wrote it, or train again.")
+        if arrays[name].shape != wanted[name].shape:
+            raise KeycldError(
+                f"{problem}: '{name}' has the shape {list(arrays[name].shape)}, not {list(wanted[name].shape)}; train "
+                "again into a new --out."
+            )
+    leaves = [jnp.asarray(arrays[name], leaf.dtype) if _is_array(leaf) else leaf for name, leaf in _named(like)]
+    return jax.tree.unflatten(jax.tree.structure(like), leaves)
+
+
+def _named(tree: PyTree) -> list[tuple[str, Any]]:
+    leaves = jax.tree_util.tree_leaves_with_path(tree)
+    return [(jax.tree_util.keystr(path, simple=True, separator="."), leaf) for path, leaf in leaves]
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, (jax.Array, np.ndarray, jax.ShapeDtypeStruct))
+
+
+def _today(name: str, renamed: Mapping[str, str]) -> str:
+    for old in sorted(renamed, key=len, reverse=True):
+        if name.startswith(old):
+            return renamed[old] + name.removeprefix(old)
+    return name

@@ -4,7 +4,7 @@ import dataclasses
 import functools
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +12,12 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from keycld.data import Resident
-from keycld.models import AbstractModel
-from keycld.training.checkpoints import latest_checkpoint, load_leaves, read_position, save_checkpoint
+from keycld.data import Resident, TrainingData
+from keycld.models.base import AbstractModel
+from keycld.stages import Stage
+from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
 from keycld.training.progress import Bar
 from keycld.training.run_folder import Metrics
-from keycld.training.stages import Stage
 from keycld.training.step import Progress, begin, diagnose, make_step
 from keycld.training.trackers import Tracker
 
@@ -47,7 +47,7 @@ class _Clock:
 def train_stages(
     fresh: Callable[[int], AbstractModel],
     stages: tuple[Stage, ...],
-    data: Resident,
+    source: TrainingData,
     folder: Path,
     *,
     seed: int,
@@ -57,60 +57,59 @@ def train_stages(
     keep: int,
     tracker: Tracker,
     validate: Validate,
+    renamed: Mapping[str, str],
 ) -> AbstractModel:
-    """Trains through all stages and leaves a checkpoint at each end; resumes where the folder's latest one is.
+    """Train through all stages and leave a checkpoint at each end; resume where the folder's latest one is.
 
-    A checkpoint holds weights, optimiser state, the cached keypoints and the step. The randomness of a step is
-    a function of seed, stage and step number, so a resumed run takes the same steps, bit for bit.
+    A checkpoint holds weights, the optimiser's and the loss's state, what a stage has cached, and the step. The
+    randomness of a step is a function of seed, stage and step number, and so is the part of the data that is resident:
+    a resumed run takes the same steps, bit for bit.
 
-    `fresh(k)` is an untrained model with its k-th random weights.
+    `fresh(k)` is an untrained model with its k-th random weights; `renamed` as in `load_arrays`.
     """
     model = fresh(0)
-    for stage in stages:
-        stage.sampler.check(data)
+    before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
     first, step, clock = 0, 0, _Clock()
     checkpoint = latest_checkpoint(folder)
     progress: Progress | None = None
+    data = source.at(0)
     if checkpoint is not None:
         position = read_position(checkpoint)
         first, step = position["stage"], position["step"]
         clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
+        model = load_arrays(checkpoint / WEIGHTS, model, renamed)
+        data = source.at(before[first])
         if position["cached"]:
-            shape = (*data.image.shape[:2], position["cached"])
-            empty = jax.ShapeDtypeStruct(shape, np.float32)
-            data = eqx.tree_at(lambda d: d.keypoints, data, empty, is_leaf=lambda x: x is None)
-        stage = stages[first] if first < len(stages) else stages[-1]
-        started, _ = begin(stage, model)
-        optimiser = None if position["done"] else started.optimiser
-        model, optimiser, cached = load_leaves(checkpoint, (model, optimiser, data.keypoints))
-        data = dataclasses.replace(data, keypoints=cached)
-        if position["done"]:
+            data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
+        started = None if position["done"] else begin(stages[first], model)[0]
+        state = load_arrays(checkpoint / STATE, _state(data, started), renamed)
+        data = _with_cached(data, state["cached"])
+        if started is None:
             first, step = first + 1, 0
         else:
-            started, _ = begin(stage, model)
-            progress = started._replace(optimiser=optimiser, step=started.step + step)
-    before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
+            progress = started._replace(
+                optimiser=state["optimiser"], memory=state["memory"], step=started.step + step
+            )
     metrics = Metrics(folder, before[first] + step)
 
     def save(number: int, progress: Progress | None, model: AbstractModel, step: int) -> None:
         clock.tick()
-        done = progress is None
         position = {
             "stage": number,
             "stages": len(stages),
             "name": stages[number].name,
             "step": step,
-            "done": done,
-            "cached": 0 if data.keypoints is None else data.keypoints.shape[-1],
+            "done": progress is None,
+            "cached": 0 if data.cached is None else data.cached.shape[-1],
             "seconds": clock.seconds,
             "cpu_seconds": clock.cpu_seconds,
             "frames": clock.frames,
         }
-        tree = (model, None if progress is None else progress.optimiser, data.keypoints)
-        save_checkpoint(folder, f"{number:02d}-{stages[number].name}-{step:06d}", tree, position, keep)
+        name = f"{number:02d}-{stages[number].name}-{step:06d}"
+        save_checkpoint(folder, name, model, _state(data, progress), position, keep)
 
     def record(number: int, done: int, values: dict[str, float]) -> None:
-        """One line of the log, with what the training has cost so far."""
+        """Write one line of the log, with what the training has cost so far."""
         step = before[number] + done
         cost = {"seconds": round(clock.seconds, 2), "cpu_seconds": round(clock.cpu_seconds, 2), "frames": clock.frames}
         metrics.write(step=step, stage=stages[number].name, **cost, **values)
@@ -120,12 +119,14 @@ def train_stages(
         stage = stages[number]
         compiled = functools.cache(functools.partial(make_step, stage, number, seed, model))
         models = []
+        pinned, per_step = _clips(stage, data)
         if progress is not None:
             current, (_, rest) = progress, begin(stage, model)
         else:
+            data = _moved(data, source.at(before[number]))
             models = [model] if stage.candidates == 1 else [model, *map(fresh, range(1, stage.candidates))]
             current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
-        per_step, done = _frames(stage, data), int(current.step)
+        done = int(current.step)
         clock.frames += per_step * done * len(models)
         bar = Bar(stage.name, stage.steps)
         saved, pending = time.monotonic(), []
@@ -133,6 +134,10 @@ def train_stages(
         values: dict[str, float] = {}
         while done < stage.steps:
             chunk = min(steps_per_dispatch, stage.steps - done)
+            if not pinned:
+                here = before[number] + done
+                data, end = _moved(data, source.at(here)), source.until(here)
+                chunk = chunk if end is None else min(chunk, end - here)
             current, terms = compiled(chunk)((rest, data), current)
             pending.append(terms)
             done += chunk
@@ -152,7 +157,7 @@ def train_stages(
                     save(number, current, eqx.combine(current.parameters, rest), done)
                     saved = time.monotonic()
         model = eqx.combine(current.parameters, rest)
-        if stage.remark is not None and values and (text := stage.remark(model, values)):
+        if stage.warn is not None and values and (text := stage.warn(model, values)):
             print(f"warning      {text}", file=sys.stderr, flush=True)
         if stage.validate:
             scores = validate(model)
@@ -186,7 +191,25 @@ def _best(
     return progress, rest, seen
 
 
-def _frames(stage: Stage, data: Resident) -> int:
-    """Pictures that pass through the networks in one step."""
+def _clips(stage: Stage, data: Resident) -> tuple[bool, int]:
+    """Return whether the stage's clips hold cached values, and how many pictures of a step pass through networks.
+
+    Cached values belong to the trajectories that were resident when the stage began, so those stay for the stage.
+    """
     clips = eqx.filter_eval_shape(stage.sampler, data, jax.random.key(0), jax.numpy.array(0))
-    return 0 if clips.frames is None else int(np.prod(clips.frames.shape[:2]))
+    return clips.frames is None, 0 if clips.frames is None else int(np.prod(clips.frames.shape[:2]))
+
+
+def _moved(old: Resident, new: Resident) -> Resident:
+    """Return the new resident trajectories; with what was cached of the old ones if they are the same."""
+    return old if old.image is new.image else new
+
+
+def _with_cached(data: Resident, cached: Any) -> Resident:
+    return eqx.tree_at(lambda d: d.cached, data, cached, is_leaf=lambda x: x is None)
+
+
+def _state(data: Resident, progress: Progress | None) -> dict[str, Any]:
+    """Return what a checkpoint holds besides weights."""
+    inner = (None, ()) if progress is None else (progress.optimiser, progress.memory)
+    return {"optimiser": inner[0], "memory": inner[1], "cached": data.cached}

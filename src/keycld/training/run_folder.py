@@ -12,48 +12,66 @@ from typing import Any
 
 from keycld._errors import KeycldError
 from keycld._files import write_text
+from keycld.models import ModelConfig, config_for
+
+
+SCHEMA_VERSION = 2
 
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
     """Everything that decides a run; `config.json` holds it and `--config` reads it back.
 
-    - `data`: folder of the data set. `data_hash`: checksum of its training file.
-    - `model`, `preset`, `settings`: what is trained and how; `settings` are the recipe's fields.
-    - `seed`: of weights, data order and everything else.
-    - `constraints`: the constraints as TOML text, or None for a Python function given by the caller.
-    - `scene`: sizes and keypoint names, so that a model can be rebuilt without the data.
-    - `steps_per_dispatch`: optimiser steps in one compiled call (1 on a CPU).
-    - `command`: what was typed.
-    - `moved_inputs`: which inputs were ever other than zero in training; of the others the model knows no effect. None
-      for a run of an older version.
+    Attributes:
+        data: folder of the data set.
+        data_hash: checksum of its training file.
+        system: what moves.
+        model: name of what is trained.
+        preset: name of its recipe.
+        settings: all fields of the preset's config.
+        seed: of weights, data order and everything else.
+        scene: sizes, so that a model can be rebuilt without the data.
+        input_names: names of the inputs in the data, where the data name them.
+        epsilon: ε, the threshold of the validation set, eq. (16).
+        steps_per_dispatch: optimiser steps in one compiled call (1 on a CPU).
+        checkpoint_seconds: between checkpoints.
+        command: what was typed.
+        schema_version: of this file; older ones are migrated on reading.
     """
 
     data: str
+    data_hash: str | None
     system: str
     model: str
     preset: str
     settings: dict[str, Any]
     seed: int
-    constraints: str | None
     scene: dict[str, Any]
-    dt: float
+    input_names: tuple[str, ...]
+    epsilon: float
     steps_per_dispatch: int
     checkpoint_seconds: float
     command: str
-    data_hash: str | None = None
-    moved_inputs: list[bool] | None = None
+    schema_version: int = SCHEMA_VERSION
 
     def decides(self) -> dict[str, Any]:
-        """The part that must be equal for a run to be resumed."""
+        """Return the part that must be equal for a run to be resumed."""
         fields = dataclasses.asdict(self)
-        for name in ("command", "checkpoint_seconds", "data", "moved_inputs"):
+        for name in ("command", "checkpoint_seconds", "data", "input_names", "epsilon", "schema_version"):
             del fields[name]
         return json.loads(json.dumps(fields))
 
+    def model_config(self) -> ModelConfig:
+        """Return the config of the model.
+
+        Raises:
+            KeycldError: this keycld knows no such model, preset or setting.
+        """
+        return config_for(self.model, self.preset, **self.settings)
+
 
 def open_run(folder: Path, config: RunConfig) -> None:
-    """Makes the run folder, or checks that the one that is there belongs to the same configuration."""
+    """Make the run folder, or checks that the one that is there belongs to the same configuration."""
     path = folder / "config.json"
     if path.exists():
         old, new = read_config(folder).decides(), config.decides()
@@ -69,22 +87,58 @@ def open_run(folder: Path, config: RunConfig) -> None:
                 "choose another --out, or delete that folder."
             )
         return
-    if config.constraints is not None:
-        write_text(folder / "constraints.toml", config.constraints)
     write_text(folder / "environment.json", json.dumps(environment(), indent=1))
     # Last, because its presence says that the folder is a run's.
     write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
 
 
 def read_config(folder: Path) -> RunConfig:
-    """The configuration of a run folder."""
-    path = folder / "config.json"
+    """Return the configuration of a run folder.
+
+    Raises:
+        KeycldError: the folder is not a run's, or the file is damaged or of a later version.
+    """
+    return parse_config(folder / "config.json")
+
+
+def parse_config(path: Path) -> RunConfig:
+    """Return the configuration in a run's `config.json`, migrated to today's schema.
+
+    Raises:
+        KeycldError: there is none, or it is damaged or of a later version.
+    """
     try:
-        return RunConfig(**json.loads(path.read_text()))
+        saved = json.loads(path.read_text())
+        version = saved.get("schema_version", 1)
+        if version > SCHEMA_VERSION:
+            raise ValueError(f"schema_version {version} is later than {SCHEMA_VERSION}: use the keycld that wrote it")
+        if version < SCHEMA_VERSION:
+            saved = _from_schema_1(saved)
+        return RunConfig(**{**saved, "input_names": tuple(saved["input_names"])})
     except FileNotFoundError:
-        raise KeycldError(f"{folder} is not a run folder (no config.json); train one with `keycld train`.") from None
-    except (TypeError, ValueError) as error:
+        raise KeycldError(
+            f"{path.parent} is not a run folder (no config.json); train one with `keycld train`."
+        ) from None
+    except KeycldError:
+        raise
+    except (AttributeError, OSError, KeyError, TypeError, ValueError) as error:
         raise KeycldError(f"{path} is not a configuration of this version of keycld: {error}.") from error
+
+
+def _from_schema_1(saved: dict[str, Any]) -> dict[str, Any]:
+    """Return a configuration of schema 1, where constraints and keypoints were KeyCLD's alone, in that of schema 2."""
+    known = {name: saved[name] for name in (f.name for f in dataclasses.fields(RunConfig)) if name in saved}
+    scene = {name: value for name, value in saved["scene"].items() if name != "keypoints"} | {"dt": saved["dt"]}
+    config = config_for(saved["model"], saved["preset"])
+    settings = config.migrated({**saved["settings"], "constraints": saved["constraints"]}, 1)
+    return {
+        **known,
+        "settings": config.changed(settings).settings(),
+        "scene": scene,
+        "input_names": (),
+        "epsilon": float("nan"),
+        "schema_version": SCHEMA_VERSION,
+    }
 
 
 def environment() -> dict[str, Any]:

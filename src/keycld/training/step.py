@@ -11,34 +11,37 @@ import optax
 from jaxtyping import Array
 
 from keycld._errors import KeycldError
-from keycld.data import Resident
-from keycld.training.stages import Stage, finite, step_keys
+from keycld.data import Clip, Resident
+from keycld.stages import AbstractStatefulLoss, Stage
 
 
 class Progress(NamedTuple):
-    """What a step changes: the trained parameters, the optimiser's state, the step number, and a flag.
+    """What a step changes: trained parameters, the optimiser's state, the loss's state, the step number, and a flag.
 
-    `healthy` turns False at the first step whose loss or gradient is not finite; from then on nothing changes, so
-    that the parameters of that step are still there to be examined.
+    `memory` is () where the loss has no state. `healthy` turns False at the first step whose loss or gradient is not
+    finite; from then on nothing changes, so that the parameters of that step are still there to be examined.
     """
 
     parameters: Any
     optimiser: Any
+    memory: Any
     step: Array
     healthy: Array
 
 
 def begin(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
-    """The state at the stage's first step, and the part of the model that the stage leaves alone."""
+    """Return the state at the stage's first step, and the part of the model that the stage leaves alone."""
     parameters, rest = eqx.partition(model, stage.trainable(model))
     # A copy, because a step donates its buffers and the caller may still hold the model.
     parameters = jax.tree.map(jnp.copy, parameters)
     state = stage.transformation(model).init(parameters)
-    return Progress(parameters, state, jnp.array(0), jnp.array(True)), rest
+    # Copies too: a step donates its buffers, and the same initial state may serve several candidates.
+    memory = jax.tree.map(jnp.array, stage.loss.initial()) if isinstance(stage.loss, AbstractStatefulLoss) else ()
+    return Progress(parameters, state, memory, jnp.array(0), jnp.array(True)), rest
 
 
 def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: int) -> Callable:
-    """Compiles `steps` optimiser steps of a stage into one function.
+    """Compile `steps` optimiser steps of a stage into one function.
 
     `run((rest, data), progress) -> (progress, terms)`; terms are stacked over the steps and the buffers of the given
     progress are used again.
@@ -53,19 +56,13 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
     def one(progress: Progress, keys: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
         clip_key, loss_key = keys
         clips = stage.sampler(data, clip_key, progress.step)
-
-        def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
-            model = eqx.combine(parameters, rest)
-            key = jax.random.fold_in(loss_key, progress.step)
-            return stage.loss(model, clips, key=key, step=progress.step)
-
-        (loss, terms), gradient = jax.value_and_grad(objective, has_aux=True)(progress.parameters)
-        healthy = progress.healthy & jnp.isfinite(loss) & finite(gradient)
+        key = jax.random.fold_in(loss_key, progress.step)
+        (loss, (terms, memory)), gradient = _gradient(stage, rest, clips, key, progress)
+        healthy = progress.healthy & jnp.isfinite(loss) & _finite(gradient)
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
-        stepped = (optax.apply_updates(progress.parameters, updates), optimiser, progress.step + 1)
-        kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:3]))
-        parameters, optimiser, step = kept
-        return Progress(parameters, optimiser, step, healthy), {"loss": loss, **terms}
+        stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
+        kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
+        return Progress(*kept, healthy), {"loss": loss, **terms}
 
     @functools.partial(eqx.filter_jit, donate="all-except-first")
     def run(fixed: tuple[Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
@@ -78,15 +75,13 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
 
 
 def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
-    """Names the step, the loss terms and the parameters that were not finite; `progress` is of that step."""
+    """Name the step, the loss terms and the parameters that were not finite; `progress` is of that step."""
     clip_key, loss_key = step_keys(seed, number)
     clips = stage.sampler(data, clip_key, progress.step)
 
-    def objective(parameters: Any) -> tuple[Array, dict[str, Array]]:
-        key = jax.random.fold_in(loss_key, progress.step)
-        return stage.loss(eqx.combine(parameters, rest), clips, key=key, step=progress.step)
-
-    (_, terms), gradient = jax.jit(jax.value_and_grad(objective, has_aux=True))(progress.parameters)
+    key = jax.random.fold_in(loss_key, progress.step)
+    compiled = eqx.filter_jit(functools.partial(_gradient, stage))
+    (_, (terms, _)), gradient = compiled(rest, clips, key, progress)
     bad_terms = [name for name, value in terms.items() if not bool(jnp.isfinite(value))]
     leaves = jax.tree_util.tree_leaves_with_path(gradient)
     bad_leaves = [
@@ -98,3 +93,30 @@ def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any
         f"not a finite number at step {int(progress.step)} of stage '{stage.name}': {where}; parameter "
         f"{which or 'none'}. The last checkpoint is intact; lower the learning rate or check the data."
     )
+
+
+def step_keys(seed: int, stage: int) -> tuple[Array, Array]:
+    """Return two keys of a stage: one samples the clips, one is the loss's own. A step folds its number in."""
+    key = jax.random.fold_in(jax.random.key(seed), stage + 1)
+    clips, loss = jax.random.split(key)
+    return clips, loss
+
+
+def _gradient(stage: Stage, rest: Any, clips: Clip, key: Array, progress: Progress) -> tuple[Any, Any]:
+    """Return ((loss, (terms, next state of the loss)), gradient)."""
+
+    def objective(parameters: Any) -> tuple[Array, tuple[dict[str, Array], Any]]:
+        model = eqx.combine(parameters, rest)
+        if isinstance(stage.loss, AbstractStatefulLoss):
+            loss, terms, memory = stage.loss(model, clips, key=key, step=progress.step, memory=progress.memory)
+            return loss, (terms, memory)
+        loss, terms = stage.loss(model, clips, key=key, step=progress.step)
+        return loss, (terms, ())
+
+    return jax.value_and_grad(objective, has_aux=True)(progress.parameters)
+
+
+def _finite(tree: Any) -> Array:
+    """Return whether every number of a pytree is finite."""
+    leaves = [jnp.all(jnp.isfinite(leaf)) for leaf in jax.tree.leaves(tree) if eqx.is_inexact_array(leaf)]
+    return jnp.all(jnp.stack(leaves)) if leaves else jnp.array(True)

@@ -1,0 +1,25 @@
+"""`keycld models`."""
+
+import json
+
+
+def models(*, json_: bool = False) -> None:
+    """List the models that can be trained: families, presets, what each model can do, and its size.
+
+    Parameters are counted at 32 × 32 pixels without inputs, in the default preset; KeyCLD's with one keypoint.
+
+    Args:
+        json_: Print a JSON list instead of a table.
+    """
+    from keycld.models.listing import listing
+
+    rows = listing()
+    if json_:
+        print(json.dumps(rows, indent=1))
+        return
+    width = max(len(row["name"]) for row in rows)
+    for row in rows:
+        print(f"{row['name']:{width}}  {row['title']}")
+        print(f"{'':{width}}  family {row['family']}; presets {', '.join(row['presets'])}")
+        print(f"{'':{width}}  {row['parameters']:,} parameters; {', '.join(row['capabilities']) or 'predicts only'}\n")
+    print("next: keycld train DATA --model NAME --preset PRESET --help lists all settings of a preset.")

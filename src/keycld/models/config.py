@@ -1,0 +1,172 @@
+"""What a preset of a model is: a frozen dataclass of settings that builds the model and its stages. Without JAX."""
+
+import abc
+import dataclasses
+import difflib
+import json
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+
+import tyro
+
+from keycld._errors import KeycldError, unknown
+from keycld.models.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import PRNGKeyArray
+
+    from keycld.models.base import AbstractModel
+    from keycld.stages import Stage
+
+
+@dataclasses.dataclass(frozen=True)
+class ModelConfig(abc.ABC):
+    """Everything that decides a model and its training but data and seed; saved whole in a run's `config.json`.
+
+    Every field has a default and one line of documentation, which `keycld train --help` prints. A field is a number, a
+    bool, a string, None, a tuple of these, or another frozen dataclass of such fields.
+    """
+
+    RENAMED: ClassVar[Mapping[str, str]] = {}
+    """Names of weights in earlier versions, or their beginnings, with today's: renaming a field is an entry here."""
+    HALF: ClassVar[tuple[str, ...]] = ()
+    """Beginnings of the names of weights that a packaged model may hold in half precision."""
+
+    model: Annotated[str, tyro.conf.Suppress]
+    """Name of the model in the registry: see `keycld models`."""
+    preset: Annotated[str, tyro.conf.Suppress]
+    """Name of the recipe."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are negative or not finite; a config that checks more calls this first."""
+        _check_numbers(self, "")
+
+    @property
+    @abc.abstractmethod
+    def context(self) -> int:
+        """How many frames a prediction starts from."""
+
+    @abc.abstractmethod
+    def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractModel":
+        """Build the model with fresh weights."""
+
+    @abc.abstractmethod
+    def stages(self, scene: Scene) -> "tuple[Stage, ...]":
+        """Return what is trained, in order."""
+
+    def completed(self, source: Any = None) -> Self:
+        """Return the config with what it takes from the data set or system `source`, such as constraints.
+
+        Without a source a config completes itself with an example, enough to build and count.
+        """
+        return self
+
+    def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
+        """Return settings that were saved under an earlier `schema_version` as those of today."""
+        return settings
+
+    def settings(self) -> dict[str, Any]:
+        """Return all fields but model and preset as values of JSON."""
+        fields = json.loads(json.dumps(dataclasses.asdict(self)))
+        return {name: value for name, value in fields.items() if name not in ("model", "preset")}
+
+    def changed(self, settings: Mapping[str, Any]) -> Self:
+        """Return the config with some settings replaced.
+
+        Args:
+            settings: values by field name; a mapping for a field that is itself a group of settings. A dotted name,
+                such as `"vision.steps"`, reaches into a group.
+
+        Raises:
+            KeycldError: an unknown name, with the nearest valid one, or a value of another type.
+        """
+        return _changed(self, _nested(settings), f"preset '{self.preset}'", "")
+
+
+def at_least_one(config: Any, *names: str) -> None:
+    """Refuse a setting below 1.
+
+    Raises:
+        KeycldError: names the setting.
+    """
+    for name in names:
+        if getattr(config, name) < 1:
+            raise KeycldError(f"setting {name} is at least 1, not {getattr(config, name)}.")
+
+
+def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
+    nested: dict[str, Any] = {}
+    for name, value in settings.items():
+        head, dot, rest = name.partition(".")
+        if dot:
+            value = {rest: value}
+        if isinstance(value, Mapping):
+            value = {**nested.get(head, {}), **_nested(value)} if isinstance(nested.get(head, {}), dict) else value
+        nested[head] = value
+    return nested
+
+
+def _changed(config: Any, settings: Mapping[str, Any], what: str, prefix: str) -> Any:
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    values = {}
+    for name, value in settings.items():
+        if name not in fields:
+            raise _unknown(f"setting of {what}", prefix + name, _names(config, prefix))
+        old = fields[name]
+        if dataclasses.is_dataclass(old):
+            if not isinstance(value, Mapping):
+                raise KeycldError(f"setting {prefix}{name} of {what} is a group: set {prefix}{name}.NAME.")
+            values[name] = _changed(old, value, what, f"{prefix}{name}.")
+        else:
+            values[name] = _checked(value, old, f"setting {prefix}{name} of {what}")
+    return dataclasses.replace(config, **values)
+
+
+def _names(config: Any, prefix: str) -> list[str]:
+    found = []
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value):
+            found += _names(value, f"{prefix}{field.name}.")
+        else:
+            found.append(prefix + field.name)
+    return found
+
+
+def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
+    """Return the error for a setting that does not exist; a name without its group finds the whole name."""
+    short = {choice.rpartition(".")[2]: choice for choice in reversed(choices)}
+    near = difflib.get_close_matches(name.rpartition(".")[2], short, n=1, cutoff=0.8)
+    if near and not difflib.get_close_matches(name, choices, n=1, cutoff=0.5):
+        return KeycldError(
+            f"unknown {kind} '{name}': did you mean '{short[near[0]]}'? choose from {', '.join(sorted(choices))}."
+        )
+    return unknown(kind, name, choices)
+
+
+def _checked(value: Any, old: Any, what: str) -> Any:
+    """Return the value in the type of the setting that it replaces."""
+    if old is None or isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
+        return value
+    if isinstance(old, tuple):
+        value = tuple(value) if isinstance(value, (list, tuple)) else (value,)
+    parts = value if isinstance(value, tuple) else (value,)
+    kinds = {type(part) for part in (old if isinstance(old, tuple) else (old,))}
+    if kinds == {float}:
+        parts = tuple(float(part) if type(part) is int else part for part in parts)
+        value = parts if isinstance(value, tuple) else parts[0]
+    if not parts or {type(part) for part in parts} - kinds:
+        raise KeycldError(f"{what} takes a {type(old).__name__} such as {old}, not {value!r}.")
+    return value
+
+
+def _check_numbers(config: Any, prefix: str) -> None:
+    for field in dataclasses.fields(config):
+        value = getattr(config, field.name)
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            _check_numbers(value, f"{prefix}{field.name}.")
+            continue
+        for part in value if isinstance(value, tuple) else (value,):
+            if isinstance(part, (int, float)) and not (0 <= part and math.isfinite(part)):
+                raise KeycldError(f"setting {prefix}{field.name} is a finite number of at least 0, not {part}.")

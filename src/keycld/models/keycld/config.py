@@ -1,0 +1,79 @@
+"""What all presets of the KeyCLD family share: which keypoints there are, and what holds them together."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+
+import tyro
+
+from keycld._errors import KeycldError
+from keycld.models.config import ModelConfig
+
+if TYPE_CHECKING:
+    from keycld.mechanics import Constraints
+
+MODELS = ("keycld", "keycld-nc", "node2", "fc")
+_EXAMPLE = 'keypoints = ["point"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "point"\npoint = [0, 0]\n'
+
+
+@dataclasses.dataclass(frozen=True)
+class KeyCLDConfig(ModelConfig):
+    """KeyCLD, KeyCLD-NC, NODE2 or FC: four configs of one family, told apart by `model`."""
+
+    # Schema 1 knew two private names.
+    RENAMED: ClassVar[Mapping[str, str]] = {
+        "start.": "initial_state.",
+        "beginning.sighting": "velocity_prior.observation",
+        "beginning.": "velocity_prior.",
+    }
+    HALF: ClassVar[tuple[str, ...]] = ("estimator.", "renderer.")
+
+    constraints: Annotated[Any, tyro.conf.Suppress] = None
+    """Keypoints and constraints as TOML text; by default those of the data set. From Python also a `Constraints`."""
+
+    @property
+    def phi(self) -> "Constraints":
+        """The constraint function Φ with the names of its keypoints.
+
+        Raises:
+            KeycldError: the config is not completed yet, or the text is wrong.
+        """
+        if self.constraints is None:
+            raise KeycldError(
+                "KeyCLD needs keypoints and constraints: put a constraints.toml next to the data, or give one with "
+                "--constraints FILE.toml (docs/constraints.md shows one)."
+            )
+        if isinstance(self.constraints, str):
+            from keycld.mechanics import parse_constraints
+
+            return parse_constraints(self.constraints, "the constraints")
+        return self.constraints
+
+    @property
+    def keypoints(self) -> int:
+        """K."""
+        return len(self.phi.keypoints)
+
+    def completed(self, source: Any = None) -> Self:
+        """Return the config with the constraints of the data set or system `source`, as text where text can hold them.
+
+        Raises:
+            KeycldError: neither the config nor the source has constraints.
+        """
+        from keycld.mechanics import Constraints, FunctionConstraint, dump_constraints
+
+        found = self.constraints
+        if found is None:
+            found = _EXAMPLE if source is None else source.constraints
+        elif callable(found) and not isinstance(found, Constraints):
+            found = Constraints(source.constraints.keypoints, (found,))
+        if isinstance(found, Constraints) and not any(isinstance(item, FunctionConstraint) for item in found.items):
+            found = dump_constraints(found)
+        completed = dataclasses.replace(self, constraints=found)
+        completed.phi  # noqa: B018  what is wrong with the constraints is told now
+        return completed
+
+    def settings(self) -> dict[str, Any]:
+        """Return all fields as values of JSON; constraints with a Python function among them become None."""
+        text = self.constraints if isinstance(self.constraints, str) else None
+        return super(KeyCLDConfig, dataclasses.replace(self, constraints=text)).settings()

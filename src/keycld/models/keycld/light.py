@@ -1,0 +1,189 @@
+"""The model and the stages of the preset `fast`: light networks, RATTLE, least squares."""
+
+import dataclasses
+import functools
+from typing import TYPE_CHECKING
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import PRNGKeyArray
+
+from keycld.data import RandomFrames, StartGroups
+from keycld.mechanics import (
+    RK4,
+    AffineMLPInputMatrix,
+    AffineMLPPotential,
+    ConstrainedLagrangian,
+    CoupledMasses,
+    MechanicalDynamics,
+    PointMasses,
+    Rattle,
+    SecondOrderNetwork,
+)
+from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
+from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
+from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
+from keycld.models.keycld.prepare import (
+    cache_keypoints,
+    fit_dynamics,
+    in_turn,
+    measure_statistics,
+    measure_velocity_prior,
+    share_constants,
+    warn_unseen,
+)
+from keycld.models.keycld.published import check_sizes, plain_initial_state
+from keycld.models.keycld.velocity_prior import VelocityPrior
+from keycld.models.scene import Scene
+from keycld.stages import Group, Stage, muon, warmup_cosine
+from keycld.vision import (
+    AbstractEstimator,
+    AbstractRenderer,
+    DenseEstimator,
+    DenseRenderer,
+    KeypointEstimator,
+    LightUNet,
+    Renderer,
+    Standardise,
+)
+
+if TYPE_CHECKING:
+    from keycld.models.keycld.recipes.fast import FastConfig, JointStage
+
+
+def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
+    """Build KeyCLD or an ablation with light U-Nets at half resolution, affine parts in V and g, and RATTLE.
+
+    Without constraints RATTLE is the Störmer–Verlet method, which serves KeyCLD-NC. NODE2 uses Runge–Kutta 4 and
+    a difference for the first velocity: it has no law that an initial state could be fitted through.
+    """
+    check_sizes(config, scene, config.width, config.stride)
+    keys, dense = jax.random.split(key, 5), config.model == "fc"
+    estimator = _estimator(config, scene, keys[2], dense)
+    renderer = _renderer(config, scene, keys[3], keys[4], dense)
+    dim = 2 * config.keypoints
+    if config.model == "node2":
+        law = SecondOrderNetwork(dim, scene.inputs, key=keys[0])
+        return NODE2(estimator, MechanicalDynamics(law, RK4()), renderer, plain_initial_state(config.given))
+    law = ConstrainedLagrangian(
+        mass=(CoupledMasses if config.coupled_masses else PointMasses).ones(config.keypoints),
+        potential=AffineMLPPotential(dim, key=keys[0]),
+        input_matrix=AffineMLPInputMatrix(dim, scene.inputs, key=keys[1]) if scene.inputs else None,
+        constraint=None if config.model == "keycld-nc" else config.phi,
+    )
+    dynamics = MechanicalDynamics(law, Rattle(substeps=config.substeps))
+    return KeyCLD(estimator, dynamics, renderer, _initial_state(config), VelocityPrior.unknown())
+
+
+def _initial_state(config: "FastConfig") -> AbstractInitialState:
+    # A posture of no meaning, until the constants are measured on the first keypoints.
+    posture = jnp.linspace(-0.4, 0.6, 2 * config.keypoints)
+    shared = posture[:0] if config.model == "keycld-nc" else config.phi(posture)
+    return FittedInitialState(shared if config.shared_constants else None, config.given)
+
+
+def _estimator(config: "FastConfig", scene: Scene, key: PRNGKeyArray, dense: bool) -> AbstractEstimator:
+    count, stride, width = config.keypoints, config.stride, config.width
+    standardise = Standardise(jnp.zeros((scene.height, scene.width, 3)), jnp.ones(()))
+    if dense:
+        return DenseEstimator((scene.height, scene.width), count, width, standardise, stride, key=key)
+    return KeypointEstimator(LightUNet(3 * stride**2, count, width, key=key), standardise, stride)
+
+
+def _renderer(
+    config: "FastConfig", scene: Scene, key: PRNGKeyArray, features: PRNGKeyArray, dense: bool
+) -> AbstractRenderer:
+    count, stride, width = config.keypoints, config.stride, config.width
+    grey = jnp.full((scene.height, scene.width, 3), 0.5)
+    if dense:
+        return DenseRenderer((scene.height, scene.width), count, width, grey, stride, key=key)
+    shape = (scene.height // stride, scene.width // stride, width - count)
+    return Renderer(
+        LightUNet(width, 3 * stride**2, width, key=key),
+        0.1 * jax.random.normal(features, shape),
+        grey,
+        stride,
+        config.sigma,
+    )
+
+
+def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
+    """Return the stages vision, dynamics, joint, long, prior; horizons longer than the trajectories are cut."""
+    first, second = config.vision, config.dynamics
+    vision = Stage(
+        name="vision",
+        steps=first.steps,
+        sampler=RandomFrames(first.batch),
+        loss=VisionLoss(
+            heat_map=first.heat_map,
+            constraint=first.constraint,
+            coupling=first.coupling,
+            joints=first.joints,
+            steps=first.steps,
+            sigma=first.sigma,
+        ),
+        groups=(
+            Group("estimator", lambda m: m.estimator, first.rate),
+            Group("renderer", lambda m: m.renderer, first.rate),
+        ),
+        optimiser=muon,
+        schedule=warmup_cosine,
+        clip=1e3,
+        prepare=measure_statistics,
+        candidates=first.candidates,
+        trial=first.trial,
+        warn=warn_unseen,
+    )
+
+    def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartGroups:
+        within = tuple(min(horizon, scene.frames) for horizon in horizons)
+        groups = min(config.groups, max(1, min(within) // config.given))
+        return StartGroups(batch, groups, within, steps, cached, config.given, config.first_frames)
+
+    dynamics = Stage(
+        name="dynamics",
+        steps=second.steps,
+        sampler=clips(second.batch, second.horizons, second.steps, cached=True),
+        loss=TrackLoss(second.scale),
+        groups=(Group("dynamics", lambda m: m.dynamics, second.rate), *_frozen(config, scene)),
+        schedule=functools.partial(warmup_cosine, final=0.1),
+        clip=1.0,
+        prepare=in_turn(cache_keypoints, share_constants),
+    )
+
+    def together(name: str, stage: "JointStage") -> Stage:
+        return Stage(
+            name=name,
+            steps=stage.steps,
+            sampler=clips(stage.batch, stage.horizons, stage.steps),
+            loss=PredictionLoss(
+                track=stage.track,
+                constraint=stage.constraint,
+                heat_map=stage.heat_map,
+                sigma=stage.sigma,
+                scale=stage.scale,
+            ),
+            groups=(
+                Group("estimator", lambda m: m.estimator, stage.rate),
+                Group("renderer", lambda m: m.renderer, stage.rate),
+                Group("dynamics", lambda m: m.dynamics, stage.energy_rate, functools.partial(muon, dense=False)),
+            ),
+            optimiser=muon,
+            schedule=warmup_cosine,
+            clip=1e3,
+            prepare=in_turn(cache_keypoints, share_constants, fit_dynamics) if name == "long" else fit_dynamics,
+        )
+
+    joint, long = together("joint", config.joint), together("long", config.long)
+    measured = in_turn(cache_keypoints, measure_velocity_prior)
+    prior = dataclasses.replace(long, name="prior", steps=0, prepare=measured, validate=True)
+    return vision, dynamics, joint, long, prior
+
+
+def _frozen(config: "FastConfig", scene: Scene) -> tuple[Group, ...]:
+    """Return what waits in the dynamics stage: with noisy keypoints the perceptrons would learn the noise."""
+    if config.model == "node2":
+        return ()
+    potential = Group("potential perceptron", lambda m: m.dynamics.law.potential.perceptron, 0.0)
+    inputs = Group("input perceptron", lambda m: m.dynamics.law.input_matrix.perceptron, 0.0)
+    return (potential, inputs) if scene.inputs else (potential,)

@@ -1,0 +1,146 @@
+"""KeyCLD: keypoints are the Cartesian state of a constrained Lagrangian. Its ablations leave out one part each."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from keycld._errors import KeycldError
+from keycld.mechanics import (
+    AbstractLaw,
+    AdaptiveDynamics,
+    ConstrainedLagrangian,
+    MechanicalDynamics,
+    Motion,
+    SecondOrderNetwork,
+    State,
+)
+from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
+from keycld.models.keycld.initial_state import AbstractInitialState
+from keycld.models.keycld.velocity_prior import VelocityPrior
+from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
+
+
+class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
+    """Keypoint estimator, dynamics of keypoints, renderer (paper, sections 2 and 3).
+
+    The state holds the keypoints' positions and velocities in image-plane units, together with the constants at
+    which the constraints hold Φ along this trajectory.
+
+    Attributes:
+        estimator: frame → keypoints, eq. (8).
+        dynamics: a law of motion and the integrator that moves the keypoints.
+        renderer: keypoints → frame, eq. (9).
+        initial_state: keypoints of the given frames → state.
+        velocity_prior: what is known of a first velocity besides the given frames. None: nothing.
+    """
+
+    estimator: AbstractEstimator
+    dynamics: MechanicalDynamics | AdaptiveDynamics
+    renderer: AbstractRenderer
+    initial_state: AbstractInitialState
+    velocity_prior: eqx.AbstractVar[VelocityPrior | None]
+
+    @property
+    def context(self) -> int:
+        """As many frames as the initial state takes."""
+        return self.initial_state.given
+
+    @property
+    def moving_law(self) -> AbstractLaw:
+        """The law of motion: accelerations, and for KeyCLD its energies."""
+        return self.dynamics.law
+
+    @property
+    def inputs(self) -> int:
+        """How many inputs the law of motion takes."""
+        law = self.moving_law
+        assert isinstance(law, (ConstrainedLagrangian, SecondOrderNetwork))
+        return law.inputs or 0
+
+    def anchor(self, n: int) -> int:
+        """Return the frame that the initial state belongs to."""
+        return self.initial_state.anchor
+
+    def constraint(self, x: Float[Array, " dim"]) -> Float[Array, " n"]:
+        """Return Φ(x); empty for a law without constraints."""
+        law = self.moving_law
+        return law.constraint(x) if isinstance(law, ConstrainedLagrangian) else x[:0]
+
+    def observe(self, frame: Float[Array, "H W 3"]) -> Observation:
+        """Estimate the keypoints of one frame, and its heat maps where the estimator has any.
+
+        Raises:
+            KeycldError: the frame has another size than the model renders.
+        """
+        if frame.shape != (*self.renderer.size, 3):
+            height, width = self.renderer.size
+            raise KeycldError(
+                f"this model sees frames of {height} × {width} pixels with three colours, not of shape "
+                f"{list(frame.shape)}: give pictures of that size."
+            )
+        return self.estimator(frame)
+
+    def keypoints(self, state: State) -> Float[Array, "K 2"]:
+        """Return the positions in the state."""
+        return state.coordinates.x.reshape(-1, 2)
+
+    def at_rest(self, keypoints: Float[Array, "K 2"]) -> State:
+        """Return the state with these keypoints and zero velocity."""
+        x = keypoints.reshape(-1)
+        return State(Motion(x, jnp.zeros_like(x)), {"constants": self.constraint(x)})
+
+    def render(self, state: State) -> Float[Array, "H W 3"]:
+        """Render the keypoints of the state."""
+        return self.renderer(self.keypoints(state))
+
+    def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
+        """Estimate the state from the keypoints of the first `context` frames.
+
+        Raises:
+            KeycldError: frames of another size, or another number of inputs, than the model knows.
+        """
+        if u.shape[-1] != self.inputs:
+            raise KeycldError(
+                f"this model has {self.inputs} inputs, not {u.shape[-1]}: give data of the system that it was trained "
+                "on."
+            )
+        x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
+        state = self.initial_state(self.dynamics, x, dt, u)
+        if self.velocity_prior is None:
+            return state
+        assert isinstance(self.dynamics, MechanicalDynamics)
+        return self.velocity_prior(self.dynamics, state, u if u.ndim == 1 else u[0])
+
+    def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
+        """Integrate the dynamics; the constraints' constants stay those of the given state."""
+        motion = self.dynamics.rollout(state, u, dt, steps)
+        parameters = jax.tree.map(lambda p: jnp.broadcast_to(p, (steps + 1, *p.shape)), state.parameters)
+        return State(motion, parameters)
+
+
+class KeyCLD(AbstractKeypointModel, HasLagrangian):
+    """Keypoints moved by a constrained Lagrangian (M, V, g, Φ), eq. (6); known up to one common factor.
+
+    The paper's ablations are the same composition of other parts: KeyCLD-NC has a law without constraints, FC a
+    `DenseEstimator` and a `DenseRenderer`. NODE2 is a class of its own, because it has no energies.
+    """
+
+    velocity_prior: VelocityPrior | None = None
+
+    @property
+    def law(self) -> ConstrainedLagrangian:
+        """Masses, potential energy, input matrix and constraints."""
+        assert isinstance(self.dynamics.law, ConstrainedLagrangian)
+        return self.dynamics.law
+
+    @property
+    def constants(self) -> Float[Array, " n"] | None:
+        """Values of Φ that training measured over all pictures; None where each trajectory has its own."""
+        return self.initial_state.shared
+
+
+class NODE2(AbstractKeypointModel):
+    """Keypoints moved by a second-order neural differential equation: no energies, no constraints."""
+
+    velocity_prior: None = None

@@ -1,0 +1,143 @@
+"""The networks of the papers, for the presets `paper` and `journal`."""
+
+from typing import TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import PRNGKeyArray
+
+from keycld._errors import KeycldError
+from keycld.mechanics import (
+    AbstractLaw,
+    AdaptiveDynamics,
+    ConstrainedLagrangian,
+    MLPInputMatrix,
+    MLPPotential,
+    PointMasses,
+    SecondOrderNetwork,
+)
+from keycld.models.keycld.config import KeyCLDConfig
+from keycld.models.keycld.initial_state import AbstractInitialState, CentralInitialState, DifferenceInitialState
+from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
+from keycld.models.scene import Scene
+from keycld.vision import (
+    AbstractEstimator,
+    AbstractRenderer,
+    DenseEstimator,
+    DenseRenderer,
+    KeypointEstimator,
+    PaperUNet,
+    Renderer,
+)
+
+
+M = TypeVar("M", bound=eqx.Module)
+
+
+def build(
+    config: KeyCLDConfig,
+    scene: Scene,
+    key: PRNGKeyArray,
+    *,
+    width: int,
+    sigma: float,
+    unit_masses: bool,
+    distances: bool,
+    tolerance: float,
+    pull_back: bool,
+) -> AbstractKeypointModel:
+    """Build the networks of appendix A.4 with adaptive Dormand–Prince roll-outs, for any model of the family.
+
+    Args:
+        config: tells which model, and the constraints.
+        scene: sizes.
+        key: of all random weights.
+        width: `num_hidden_dim` of A.4.
+        sigma: of the renderer's blobs, image-plane units.
+        unit_masses: initial masses of 1; else their roots are N(0, 0.01²).
+        distances: constraints measure distances; else their squares.
+        tolerance: of the roll-outs in predictions.
+        pull_back: whether these pull Φ back to its initial value.
+    """
+    check_sizes(config, scene, width, stride=1)
+    keys = jax.random.split(key, 5)
+    estimator, renderer = _vision(config, scene, keys[2:], width, sigma)
+    initial, count = plain_initial_state(config.context), config.keypoints
+
+    def moved_by(law: AbstractLaw) -> AdaptiveDynamics:
+        return AdaptiveDynamics(law, rtol=tolerance, atol=tolerance, pull_back=pull_back)
+
+    if config.model == "node2":
+        law = SecondOrderNetwork(2 * count, scene.inputs, 2 * width, key=keys[0])
+        return NODE2(estimator, moved_by(law), renderer, initial)
+    roots = jnp.ones(count) if unit_masses else 0.01 * jax.random.normal(jax.random.fold_in(key, 5), (count,))
+    phi = config.phi.distances() if distances else config.phi
+    law = ConstrainedLagrangian(
+        mass=PointMasses(roots),
+        potential=MLPPotential(2 * count, width, key=keys[0]),
+        input_matrix=MLPInputMatrix(2 * count, scene.inputs, width, key=keys[1]) if scene.inputs else None,
+        constraint=None if config.model == "keycld-nc" else phi,
+    )
+    return KeyCLD(estimator, moved_by(law), renderer, initial)
+
+
+def _vision(
+    config: KeyCLDConfig, scene: Scene, keys: PRNGKeyArray, width: int, sigma: float
+) -> tuple[AbstractEstimator, AbstractRenderer]:
+    count, size = config.keypoints, (scene.height, scene.width)
+    if config.model == "fc":
+        estimator = DenseEstimator(size, count, width, None, 1, key=keys[0])
+        renderer = DenseRenderer(size, count, width, None, 1, key=keys[1])
+        return _as_in_flax(estimator, keys[0]), _as_in_flax(renderer, keys[1])
+    # The default of the initialiser that A.4 names for the constant feature maps has a deviation of 0.01.
+    features = 0.01 * jax.random.normal(keys[2], (*size, width - count))
+    network = PaperUNet(width, 3, width, key=keys[1])
+    return (
+        KeypointEstimator(PaperUNet(3, count, width, key=keys[0]), None, stride=1),
+        Renderer(network, features, None, 1, sigma),
+    )
+
+
+def _as_in_flax(module: M, key: PRNGKeyArray) -> M:
+    """Return the module with the dense layers as Flax initialises them: LeCun-normal kernels and zero biases."""
+
+    def dense(tree: M) -> list[eqx.nn.Linear]:
+        found = jax.tree.leaves(tree, is_leaf=lambda leaf: isinstance(leaf, eqx.nn.Linear))
+        return [leaf for leaf in found if isinstance(leaf, eqx.nn.Linear)]
+
+    kernel = jax.nn.initializers.lecun_normal(in_axis=1, out_axis=0)
+    layers = dense(module)
+    keys = jax.random.split(jax.random.fold_in(key, 1), len(layers))
+    new = [
+        eqx.tree_at(lambda d: (d.weight, d.bias), layer, (kernel(k, layer.weight.shape), jnp.zeros(layer.out_features)))
+        for layer, k in zip(layers, keys, strict=True)
+    ]
+    return eqx.tree_at(dense, module, new)
+
+
+def check_sizes(config: KeyCLDConfig, scene: Scene, width: int, stride: int) -> None:
+    """Refuse pictures and widths that a U-Net's two halvings and eight groups of channels cannot divide.
+
+    Raises:
+        KeycldError: names the size and what fits.
+    """
+    cell = 4 * stride
+    if scene.height % cell or scene.width % cell:
+        raise KeycldError(
+            f"this preset needs pictures whose sides are multiples of {cell}, not {scene.height} × {scene.width}: "
+            "make or import them with another size."
+        )
+    if width % 8 or width <= config.keypoints:
+        raise KeycldError(f"width is a multiple of 8 above the number of keypoints, not {width}.")
+
+
+def plain_initial_state(given: int) -> AbstractInitialState:
+    """Return a differenced first velocity: backward from two frames (v1), central from three (2024).
+
+    Raises:
+        KeycldError: for another number of given frames.
+    """
+    if given not in (2, 3):
+        raise KeycldError(f"a differenced velocity takes 2 or 3 given frames, not {given}.")
+    return DifferenceInitialState() if given == 2 else CentralInitialState()

@@ -1,0 +1,169 @@
+"""The default preset: best quality in the least time."""
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from keycld.models.config import at_least_one
+from keycld.models.keycld.config import MODELS, KeyCLDConfig
+from keycld.models.registry import register_preset
+from keycld.models.scene import Scene
+
+if TYPE_CHECKING:
+    from jaxtyping import PRNGKeyArray
+
+    from keycld.models.keycld.model import AbstractKeypointModel
+    from keycld.stages import Stage
+
+
+@dataclasses.dataclass(frozen=True)
+class VisionStage:
+    """Single frames: reconstruction, focused heat maps, constant constraint values."""
+
+    steps: int = 1000
+    """Optimiser steps."""
+    batch: int = 16
+    """Frames a step."""
+    rate: float = 1e-2
+    """Peak learning rate of estimator and renderer."""
+    candidates: int = 4
+    """Random initialisations that are tried; the best one continues."""
+    trial: int = 200
+    """Steps of each try."""
+    heat_map: float = 1.0
+    """Weight of the cross-entropy between a heat map and a Gaussian at its own keypoint."""
+    sigma: float = 0.05
+    """Width of that Gaussian, image-plane units."""
+    constraint: tuple[float, float] = (100.0, 1000.0)
+    """Weight of the unevenness of the constraints at the first and the last step, linear between."""
+    coupling: float = 10.0
+    """The same weight at first for constraints on several keypoints; above zero."""
+    joints: float = 0.85
+    """Share of the steps in which such constraints move joints alone."""
+
+
+@dataclasses.dataclass(frozen=True)
+class DynamicsStage:
+    """Roll-outs on cached keypoints, no pictures."""
+
+    steps: int = 600
+    """Optimiser steps."""
+    batch: int = 16
+    """Clips a step."""
+    rate: float = 1e-2
+    """Peak learning rate of the dynamics."""
+    horizons: tuple[int, ...] = (8, 24)
+    """Frames that a clip spans; each holds for an equal part of the steps."""
+    scale: float = 0.1
+    """Distance, image-plane units, from which on a miss counts linearly instead of squared."""
+
+
+@dataclasses.dataclass(frozen=True)
+class JointStage:
+    """Everything together, rendered from motions that start at two frames anywhere."""
+
+    steps: int
+    """Optimiser steps."""
+    horizons: tuple[int, ...]
+    """Frames that a clip spans; each holds for an equal part of the steps."""
+    batch: int = 2
+    """Clips a step."""
+    rate: float = 2e-3
+    """Peak learning rate of estimator and renderer."""
+    energy_rate: float = 1e-3
+    """Peak learning rate of the dynamics."""
+    track: float = 3000.0
+    """Weight of the squared distance between rolled-out and observed keypoints."""
+    scale: float = 0.03
+    """Distance, image-plane units, from which on a miss counts linearly instead of squared."""
+    constraint: float = 100.0
+    """Weight of the unevenness of the constraints."""
+    heat_map: float = 1.0
+    """Weight of the cross-entropy between a heat map and a Gaussian at its own keypoint."""
+    sigma: float = 0.05
+    """Width of that Gaussian, image-plane units."""
+
+
+_FLAT = {
+    **{f"vision_{name}": (f"vision.{name}",) for name in ("steps", "batch", "rate")},
+    **{name: (f"vision.{name}",) for name in ("candidates", "trial")},
+    **{f"dynamics_{name}": (f"dynamics.{name}",) for name in ("steps", "batch", "rate", "horizons")},
+    **{f"{stage}_{name}": (f"{stage}.{name}",) for stage in ("joint", "long") for name in ("steps", "horizons")},
+    **{f"joint_{name}": (f"joint.{name}", f"long.{name}") for name in ("batch", "rate")},
+    "energy_rate": ("joint.energy_rate", "long.energy_rate"),
+    "begin": ("first_frames",),
+}
+"""Settings of schema 1 by name, with today's."""
+
+
+@register_preset("fast", *MODELS)
+@dataclasses.dataclass(frozen=True)
+class FastConfig(KeyCLDConfig):
+    """See first, then move, then both: minutes on two CPU cores.
+
+    1. `vision`: single frames.
+    2. `dynamics`: roll-outs on cached keypoints.
+    3. `joint`: everything together. 4. `long`: the same to the end of the recordings.
+    5. `prior`: no steps; measures the velocity prior. Then the validation score.
+
+    Before 3 and 4 least squares fit the dynamics to whole trajectories.
+    """
+
+    width: int = 16
+    """Channels of the networks at half resolution."""
+    stride: int = 2
+    """Pixels of a heat-map cell."""
+    sigma: float = 0.1
+    """Width of the renderer's blobs, image-plane units."""
+    substeps: int = 4
+    """RATTLE steps a frame."""
+    coupled_masses: bool = True
+    """A full mass matrix between keypoints, for links whose mass is spread out, instead of eq. (14)."""
+    shared_constants: bool = True
+    """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
+    given: int = 2
+    """Frames that a prediction starts from; 3 in the 2024 protocol."""
+    groups: int = 4
+    """Groups of so many given frames each in a clip."""
+    first_frames: float = 0.5
+    """Share of the clips that contain the first frames of a trajectory."""
+    vision: VisionStage = VisionStage()
+    """First stage."""
+    dynamics: DynamicsStage = DynamicsStage()
+    """Second stage."""
+    joint: JointStage = JointStage(steps=1500, horizons=(8, 16, 32))
+    """Third stage."""
+    long: JointStage = JointStage(steps=3600, horizons=(32, 50))
+    """Fourth stage."""
+
+    def __post_init__(self) -> None:
+        """Refuse counts of things of which there is at least one."""
+        super().__post_init__()
+        at_least_one(self, "stride", "substeps", "groups", "given")
+        at_least_one(self.vision, "candidates", "trial", "batch")
+        for stage in (self.dynamics, self.joint, self.long):
+            at_least_one(stage, "batch")
+
+    @property
+    def context(self) -> int:
+        """As many frames as are given."""
+        return self.given
+
+    def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
+        """Return the flat settings of schema 1 as today's groups."""
+        if version > 1:
+            return settings
+        known = {name: value for name, value in settings.items() if name not in _FLAT}
+        return known | {new: settings[old] for old, names in _FLAT.items() if old in settings for new in names}
+
+    def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractKeypointModel":
+        """Build KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE."""
+        from keycld.models.keycld import light
+
+        return light.build(self, scene, key)
+
+    def stages(self, scene: Scene) -> "tuple[Stage, ...]":
+        """Return the stages vision, dynamics, joint, long, prior; horizons longer than the trajectories are cut."""
+        from keycld.models.keycld import light
+
+        return light.stages(self, scene)

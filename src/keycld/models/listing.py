@@ -1,0 +1,38 @@
+"""What `keycld models` tells of each registered model."""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+
+from keycld.models.base import capabilities
+from keycld.models.registry import models
+from keycld.models.scene import Scene
+
+EXAMPLE = Scene(height=32, width=32, inputs=0, frames=256, dt=0.05, trajectories=1000)
+"""The size at which parameters are counted; the second paper's."""
+
+
+def listing(scene: Scene = EXAMPLE) -> list[dict[str, Any]]:
+    """Return name, family, title, presets, capabilities and number of trained parameters of each model.
+
+    Models are built in their default preset, as shapes only.
+    """
+    rows = []
+    for name, entry in models().items():
+        config = entry.presets[entry.default].completed()
+        model = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
+        trained = [stage.labels(model) for stage in config.stages(scene)]
+        leaves = zip(jax.tree.leaves(model), *trained, strict=True)
+        count = sum(leaf.size for leaf, *groups in leaves if any(groups))
+        rows.append(
+            {
+                "name": name,
+                "family": entry.family,
+                "title": entry.title,
+                "presets": list(entry.presets),
+                "capabilities": list(capabilities(model)),
+                "parameters": count,
+            }
+        )
+    return rows

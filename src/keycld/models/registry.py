@@ -1,0 +1,115 @@
+"""Finds models and their presets by name: every folder of `keycld.models` and every entry point that registers some."""
+
+import dataclasses
+import functools
+import importlib
+import pkgutil
+from collections.abc import Callable, Mapping
+from importlib import metadata
+from typing import Any, TypeVar
+
+from keycld._errors import KeycldError, unknown
+from keycld.models.config import ModelConfig
+
+ENTRY_POINTS = "keycld.models"
+DEFAULT_PRESET = "fast"
+C = TypeVar("C", bound=type[ModelConfig])
+
+
+@dataclasses.dataclass
+class ModelEntry:
+    """A model that can be asked for by name.
+
+    Attributes:
+        name: such as `keycld` or `hgn`.
+        family: the folder, or the package, that it comes from.
+        title: what it is, in a line.
+        presets: its recipes by name.
+    """
+
+    name: str
+    family: str
+    title: str
+    presets: dict[str, ModelConfig] = dataclasses.field(default_factory=dict)
+
+    @property
+    def default(self) -> str:
+        """The preset that is meant where none is named: `fast` where there is one, else the first."""
+        return DEFAULT_PRESET if DEFAULT_PRESET in self.presets else next(iter(self.presets))
+
+
+_MODELS: dict[str, ModelEntry] = {}
+
+
+def register_model(name: str, *, family: str, title: str) -> None:
+    """Make a model known; its presets follow by `register_preset`.
+
+    Raises:
+        KeycldError: another family has taken the name.
+    """
+    if name in _MODELS and _MODELS[name].family != family:
+        raise KeycldError(f"the model name '{name}' of {family} is taken by {_MODELS[name].family}: choose another.")
+    _MODELS.setdefault(name, ModelEntry(name, family, title))
+
+
+def register_preset(preset: str, *models: str) -> Callable[[C], C]:
+    """Return a class decorator that makes a config class the preset of that name of some registered models."""
+
+    def add(config: C) -> C:
+        for model in models:
+            _MODELS[model].presets[preset] = config(model=model, preset=preset)
+        return config
+
+    return add
+
+
+def find_presets(package: str) -> None:
+    """Import every module of a package, such as a family's `recipes`; each registers its presets."""
+    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
+        importlib.import_module(f"{package}.{module.name}")
+
+
+@functools.cache
+def _load() -> None:
+    package = importlib.import_module("keycld.models")
+    for module in pkgutil.iter_modules(package.__path__):
+        if module.ispkg:
+            importlib.import_module(f"{package.__name__}.{module.name}")
+    for point in metadata.entry_points(group=ENTRY_POINTS):
+        try:
+            point.load()
+        except Exception as error:
+            raise KeycldError(
+                f"the model family '{point.name}' of {point.value} cannot be loaded ({error}): fix or uninstall it."
+            ) from error
+
+
+def models() -> Mapping[str, ModelEntry]:
+    """Return all registered models by name."""
+    _load()
+    return {name: entry for name, entry in _MODELS.items() if entry.presets}
+
+
+def config_for(model: str = "keycld", preset: str | None = None, **settings: Any) -> ModelConfig:
+    """Return the config of a model's preset, with some settings changed.
+
+    ```python
+    config_for("keycld", "fast", vision={"steps": 500}, width=24)
+    ```
+
+    Args:
+        model: its name.
+        preset: name of its recipe; by default `fast`, or the first that the model has.
+        settings: as for `ModelConfig.changed`.
+
+    Raises:
+        KeycldError: nobody has registered such a model, such a preset of it, or such a setting; names the nearest.
+    """
+    known = models()
+    if model not in known:
+        raise unknown("model", model, known)
+    entry = known[model]
+    name = preset or entry.default
+    if name not in entry.presets:
+        raise unknown(f"preset of model '{model}'", name, entry.presets)
+    return entry.presets[name].changed(settings)

@@ -1,0 +1,21 @@
+"""What a part of a training is, as data: sampler, loss, trainable groups, optimiser, schedule."""
+
+from keycld.stages.losses import AbstractLoss as AbstractLoss
+from keycld.stages.losses import AbstractStatefulLoss as AbstractStatefulLoss
+from keycld.stages.losses import Terms as Terms
+from keycld.stages.optimisers import forgetful as forgetful
+from keycld.stages.optimisers import muon as muon
+from keycld.stages.optimisers import warmup_cosine as warmup_cosine
+from keycld.stages.stage import Group as Group
+from keycld.stages.stage import Stage as Stage
+
+__all__ = [
+    "AbstractLoss",
+    "AbstractStatefulLoss",
+    "Group",
+    "Stage",
+    "Terms",
+    "forgetful",
+    "muon",
+    "warmup_cosine",
+]
