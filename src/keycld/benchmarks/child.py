@@ -114,9 +114,7 @@ def train_model(experiment: Experiment, place: Place) -> None:
         train(
             place.data(experiment),
             run,
-            model=experiment.model,
-            preset=experiment.preset,
-            settings=experiment.changed_settings(),
+            experiment.config(),
             seed=experiment.seed,
         )
 

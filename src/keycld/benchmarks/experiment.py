@@ -10,8 +10,7 @@ from typing import Any
 from keycld import systems
 from keycld.data import make_data
 from keycld.evaluation import Protocol
-from keycld.mechanics import dump_constraints
-from keycld.training import AbstractRecipe, make_recipe
+from keycld.models import ModelConfig, config_for
 
 
 @dataclass(frozen=True)
@@ -53,7 +52,7 @@ class Experiment:
     Attributes:
         suite: the name of the suite that it belongs to.
         data: how its data are made.
-        model: what is trained: keycld, keycld-nc, node2, fc.
+        model: name of what is trained.
         preset: the whole recipe's name.
         seed: of weights and data order.
         protocols: how it is scored; the first is the headline.
@@ -79,27 +78,25 @@ class Experiment:
         changed = f"-{digest(self.settings)[:8]}" if self.settings else ""
         return f"{self.suite}/{self.preset}{changed}"
 
-    def changed_settings(self) -> dict[str, Any]:
-        """Settings that are not the preset's own: those asked for, and as many given frames as are scored with."""
-        free = "given" in make_recipe(self.preset, {}).settings()
-        return ({"given": self.protocols[0].given} if free else {}) | self.settings
-
-    def recipe(self) -> AbstractRecipe:
-        """The preset with the changed settings.
+    def config(self) -> ModelConfig:
+        """Return the model's config with the changed settings, and as many given frames as are scored with.
 
         Raises:
-            KeycldError: the preset does not exist, or has no such setting.
+            KeycldError: the model, the preset or a setting does not exist.
         """
-        return make_recipe(self.preset, self.changed_settings())
+        config = config_for(self.model, self.preset, **self.settings)
+        if "given" in config.settings() and "given" not in self.settings:
+            config = config.changed({"given": self.protocols[0].given})
+        return config.completed(systems.get(self.data.system))
 
     def hash(self) -> str:
-        """Of all that decides the outcome: model, preset, all its settings, seed, constraints, data recipe."""
+        """Return the hash of all that decides the outcome: model, preset, all settings, seed, data recipe."""
+        config = self.config()
         decides = {
-            "model": self.model,
-            "preset": self.preset,
-            "settings": self.recipe().settings(),
+            "model": config.model,
+            "preset": config.preset,
+            "settings": config.settings(),
             "seed": self.seed,
-            "constraints": dump_constraints(systems.get(self.data.system).constraints),
             "data": dataclasses.asdict(self.data),
         }
         return digest(decides)

@@ -7,12 +7,18 @@ from typing import Any
 from keycld._errors import KeycldError, unknown
 from keycld.benchmarks.experiment import DataRecipe, Experiment
 from keycld.evaluation import Protocol, protocol_named
+from keycld.models import models as registered
 
 MODEL_TITLES = {"keycld": "KeyCLD", "keycld-nc": "KeyCLD-NC", "node2": "NODE2", "fc": "FC"}
 """Name and title of each model of the KeyCLD paper, in the order of its Table 1."""
 
 _SYSTEMS = ("pendulum", "cartpole", "acrobot")
 _SCORED = ("test@50", "validation@50", "test_long@200", "test_long@500")
+
+
+def model_title(model: str) -> str:
+    """Return the title of a model of the paper; other models go by their registered names."""
+    return MODEL_TITLES.get(model, model)
 
 
 @dataclass(frozen=True)
@@ -58,7 +64,7 @@ class Suite:
         Raises:
             KeycldError: something does not exist, nothing fits, or the preset needs more frames than are given.
         """
-        for kind, given, known in (("system", systems, _SYSTEMS), ("model", models, MODEL_TITLES)):
+        for kind, given, known in (("system", systems, _SYSTEMS), ("model", models, registered())):
             for name in given:
                 if name not in known:
                     raise unknown(kind, name, known)
@@ -70,7 +76,7 @@ class Suite:
             if not systems or data.system in systems
         ]
         # A preset or setting that does not exist, or does not fit, is noticed before anything is done.
-        needed, least = found[0].recipe().context, min(protocol.given for protocol in self.protocols)
+        needed, least = found[0].config().context, min(protocol.given for protocol in self.protocols)
         if needed > least:
             raise KeycldError(
                 f"preset '{preset}'{' with --set given' if 'given' in (settings or {}) else ''} predicts from {needed} "

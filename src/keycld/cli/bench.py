@@ -21,7 +21,7 @@ class Selection:
         only: Those with this in their name, such as acrobot-node2.
         seeds: Such as 0,1,2. Default: the suite's.
         systems: Such as pendulum,acrobot. Default: all.
-        models: Of keycld, keycld-nc, node2, fc. Default: the suite's.
+        models: Such as keycld,node2; `keycld models` lists all. Default: the suite's.
         preset: The recipe of the training.
         set: Settings of the preset to change, as in `keycld train`; such results lie in a folder of their own.
         root: Folder of data/ and runs/.
@@ -41,7 +41,7 @@ class Selection:
     def experiments(self) -> "tuple[Experiment, ...]":
         """The experiments that are meant."""
         from keycld.benchmarks import parse_seeds, suite_named
-        from keycld.cli.train import parse_setting
+        from keycld.cli.settings import parse_setting
 
         return suite_named(self.suite).select(
             only=self.only,

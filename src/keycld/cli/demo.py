@@ -14,7 +14,7 @@ def demo(
     out: Path | None = None,
     preset: str = "fast",
     seed: int = 0,
-    set: tuple[str, ...] = (),
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
 ) -> None:
     """Do everything on one system: data, training, evaluation, control, report. Pendulum: about a quarter of an hour.
 
@@ -23,13 +23,15 @@ def demo(
         out: Run folder; runs/SYSTEM-demo unless told.
         preset: fast (minutes), paper or journal (both need a GPU).
         seed: Of the training.
-        set: Settings of the preset to change, as in `keycld train`.
+        set: Settings of the preset to change, such as vision.steps=500.
     """
     from keycld.cli.control import control
     from keycld.cli.evaluate import evaluate
     from keycld.cli.making import data_for
     from keycld.cli.report import report
+    from keycld.cli.settings import parse_setting
     from keycld.cli.train import train
+    from keycld.models import config_for
 
     run = out or Path("runs") / f"{Path(system).name}-demo"
     times = {}
@@ -41,7 +43,8 @@ def demo(
         times[name] = time.monotonic() - began
 
     timed("data", data_for, system)
-    timed("training", train, system, preset=preset, seed=seed, out=run, set=set)
+    settings = config_for("keycld", preset, **dict(parse_setting(text) for text in set))
+    timed("training", train, system, settings=settings, seed=seed, out=run)
     timed("evaluation", evaluate, str(run))
     # Of the random starts one that hangs, on the pendulum: −3.08 rad.
     timed("control", control, str(run), seed=9)

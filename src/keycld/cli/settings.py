@@ -1,0 +1,23 @@
+"""Settings of a preset as words, for verbs that train several models."""
+
+from typing import Any
+
+from keycld._errors import KeycldError
+
+
+def parse_setting(text: str) -> tuple[str, Any]:
+    """Return name and value of a setting such as `joint.horizons=8,16`."""
+    name, equals, value = text.partition("=")
+    if not equals:
+        raise KeycldError(f"--set takes NAME=VALUE, not '{text}'.")
+    values = [_number(part) for part in value.split(",") if part]
+    return name.replace("-", "_"), values[0] if len(values) == 1 and "," not in value else values
+
+
+def _number(text: str) -> Any:
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            continue
+    return {"true": True, "false": False}.get(text.lower(), text)
