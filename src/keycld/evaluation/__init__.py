@@ -5,6 +5,7 @@ from keycld.evaluation.drift import constraint_drift as constraint_drift
 from keycld.evaluation.drift import energy_drift as energy_drift
 from keycld.evaluation.evaluate import Evaluation as Evaluation
 from keycld.evaluation.evaluate import evaluate as evaluate
+from keycld.evaluation.evaluate import headline_vpt as headline_vpt
 from keycld.evaluation.geometry import difference as difference
 from keycld.evaluation.metrics import DM_THRESHOLD as DM_THRESHOLD
 from keycld.evaluation.metrics import TABLE_UNITS as TABLE_UNITS
@@ -27,6 +28,7 @@ from keycld.evaluation.prediction_file import predict_file as predict_file
 from keycld.evaluation.probe import Probe as Probe
 from keycld.evaluation.probe import fit_probe as fit_probe
 from keycld.evaluation.probe import invert_landmarks as invert_landmarks
+from keycld.evaluation.protocols import METRICS as METRICS
 from keycld.evaluation.protocols import Protocol as Protocol
 from keycld.evaluation.published import PAPER_VPT as PAPER_VPT
 from keycld.evaluation.published import published_vpt as published_vpt
@@ -43,6 +45,7 @@ from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
 __all__ = [
     "Evaluation",
     "DM_THRESHOLD",
+    "METRICS",
     "PAPER_VPT",
     "PROTOCOLS",
     "PixelMoments",
@@ -61,6 +64,7 @@ __all__ = [
     "evaluate_sweeps",
     "fit_probe",
     "frame_errors",
+    "headline_vpt",
     "invert_landmarks",
     "load_evaluation",
     "make_protocol",

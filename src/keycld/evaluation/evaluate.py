@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -41,10 +42,14 @@ class Evaluation:
         """Frame errors in the protocol's metric."""
         return self.arrays[ERROR_ARRAYS[self.scores["metric"]]]
 
+    def baseline_errors(self, name: str) -> Float[np.ndarray, "N T"]:
+        """Return the same of a trivial predictor."""
+        return self.arrays[f"baseline_{ERROR_ARRAYS[self.scores['metric']]}_{name.replace(' ', '_')}"]
+
     @property
     def vpt(self) -> dict[str, Any]:
         """The valid prediction time at the first threshold."""
-        return next(iter(self.scores["vpt"].values()))
+        return headline_vpt(self.scores)
 
     @property
     def valid(self) -> Bool[np.ndarray, "N T"]:
@@ -52,6 +57,11 @@ class Evaluation:
         first, stop = self.scores["part"]
         frames, time = np.array(self.vpt["frames"])[:, None], np.arange(self.errors.shape[1])[None]
         return time >= stop - frames if self.scores["direction"] == "backward" else time < first + frames
+
+
+def headline_vpt(scores: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the valid prediction time at the first threshold, of scores or of those of a trivial predictor."""
+    return next(iter(scores["vpt"].values()))
 
 
 def evaluate(

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from keycld._errors import KeycldError, unknown
 
-METRICS = ("squared", "normalised")
+METRICS = {"squared": "mean squared error", "normalised": "normalised error"}
+"""Errors of a frame: what they are called in words, by name."""
 DIRECTIONS = ("forward", "backward")
 
 

@@ -6,9 +6,9 @@ from typing import Any
 from keycld.evaluation.published import published_vpt
 
 
-def threshold_text(scores: Mapping[str, Any], threshold: str) -> str:
+def threshold_text(metric: str, threshold: str) -> str:
     """Return a threshold, the key of a VPT, in words: `ε`, `ε/4`, or `0.025` of the normalised error."""
-    if scores["metric"] == "normalised":
+    if metric == "normalised":
         return threshold
     return {"1": "ε", "0.25": "ε/4"}.get(threshold, f"{threshold} ε")
 
@@ -37,7 +37,7 @@ def summary(scores: Mapping[str, Any]) -> str:
     """
     protocol, thresholds = scores["protocol"], list(scores["vpt"])
     normalised = scores["metric"] == "normalised"
-    heads = [f"VPT {threshold_text(scores, threshold)}" for threshold in thresholds]
+    heads = [f"VPT {threshold_text(scores['metric'], threshold)}" for threshold in thresholds]
     heads += ["train part", "extrapolated"] if normalised else ["MSE"]
     limit = "normalised error" if normalised else f"ε = {scores['epsilon']:.3g}"
     lines = [
