@@ -89,6 +89,10 @@ def fake_evaluation(protocol, vpt, trajectories=4):
         "protocol": {"name": protocol.name, "given": protocol.given, "horizon": protocol.horizon},
         "dt": 0.05,
         "vpt": {f"{threshold:g}": {**summary, "frames": [1] * trajectories} for threshold in protocol.thresholds},
+        "metric": protocol.metric,
+        "direction": protocol.direction,
+        "part": list(protocol.part),
+        "threshold": 1e-3,
         "mse": 1e-3,
         "epsilon": 1e-3,
         "baselines": {

@@ -109,11 +109,9 @@ def _headline(run: Run, result: Evaluation) -> str:
     published, title = published_vpt(scores), MODEL_TITLES.get(str(run.config.get("model")), "")
     if title in published:
         rows.append((f"the paper’s {title}", published[title], "paper"))
-    given = {"constant acceleration": ", from the true states"}
-    rows += [
-        (name + given.get(name, ""), headline_vpt(each)["mean"], "trivial")
-        for name, each in scores["baselines"].items()
-    ]
+    for name, each in scores["baselines"].items():
+        source = ", from the true states" if name == "constant acceleration" else ""
+        rows.append((name + source, headline_vpt(each)["mean"], "trivial"))
     low, high = vpt["interval"]
     return (
         '<div class="headline"><div><p class="label">valid prediction time</p>'
