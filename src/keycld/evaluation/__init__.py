@@ -1,5 +1,7 @@
 """How good a prediction is: metrics, protocols, trivial baselines, probes of what was learned."""
 
+from keycld.data.describe.normalised_error import TABLE_UNITS as TABLE_UNITS
+from keycld.data.describe.normalised_error import THRESHOLD as DM_THRESHOLD
 from keycld.evaluation.baselines import baseline_predictions as baseline_predictions
 from keycld.evaluation.drift import constraint_drift as constraint_drift
 from keycld.evaluation.drift import energy_drift as energy_drift
@@ -7,8 +9,6 @@ from keycld.evaluation.evaluate import Evaluation as Evaluation
 from keycld.evaluation.evaluate import evaluate as evaluate
 from keycld.evaluation.evaluate import headline_vpt as headline_vpt
 from keycld.evaluation.geometry import difference as difference
-from keycld.evaluation.metrics import DM_THRESHOLD as DM_THRESHOLD
-from keycld.evaluation.metrics import TABLE_UNITS as TABLE_UNITS
 from keycld.evaluation.metrics import PixelMoments as PixelMoments
 from keycld.evaluation.metrics import epsilon as epsilon
 from keycld.evaluation.metrics import frame_errors as frame_errors

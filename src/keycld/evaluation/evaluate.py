@@ -247,8 +247,5 @@ def _add_observations(arrays: dict[str, np.ndarray], model: HasKeypoints) -> int
 
 def _names(data: "DataSet", count: int) -> list[str]:
     """Return the names of the model's keypoints; numbers where the data set names others or none."""
-    try:
-        names = list(data.keypoints)
-    except KeycldError:
-        names = []
+    names = list(data.keypoints)
     return names if len(names) == count else [f"keypoint {k + 1}" for k in range(count)]

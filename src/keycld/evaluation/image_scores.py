@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Shaped
 
-from keycld.evaluation.metrics import ERRORS, TABLE_UNITS, frame_errors, statistics, valid_prediction_time
+from keycld.data.describe.normalised_error import TABLE_UNITS
+from keycld.evaluation.metrics import ERRORS, frame_errors, statistics, valid_prediction_time
 from keycld.evaluation.protocols import Protocol
 
 ERROR_ARRAYS = {"squared": "mse", "normalised": "normalised_error"}

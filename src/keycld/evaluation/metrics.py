@@ -14,11 +14,7 @@ import numpy as np
 from jaxtyping import Float, Int, Shaped
 
 from keycld._errors import KeycldError
-
-DM_THRESHOLD = 0.025
-"""Of the normalised error, in "Which priors matter?"."""
-TABLE_UNITS = 1e7 / 3072
-"""Tables 5 and 6 of "Which priors matter?" hold 10⁷ times the normalised error over a picture's 32 · 32 · 3 numbers."""
+from keycld.data import normalised_errors
 
 
 def _scale(frames: np.ndarray) -> float:
@@ -42,20 +38,20 @@ def frame_errors(
     Raises:
         KeycldError: the shapes differ.
     """
-    return _each_trajectory(truth, prediction, lambda t, p: _squares(t - p) / t.shape[1])
+    return _each_trajectory(truth, prediction, _mean_squares)
 
 
 def relative_errors(
     truth: Shaped[np.ndarray, "N T H W C"], prediction: Shaped[np.ndarray, "_ _ _ _ _"]
 ) -> Float[np.ndarray, "N T"]:
-    """Return Σ(truth − prediction)² / Σ truth² of each frame, the normalised error of "Which priors matter?".
+    """Return Σ(truth − prediction)² / Σ truth² of each frame, the `normalised_errors` of "Which priors matter?".
 
-    Good values: below 0.025; times `TABLE_UNITS` it is in the units of the paper's tables 5 and 6.
+    Good values: below 0.025.
 
     Raises:
         KeycldError: the shapes differ.
     """
-    return _each_trajectory(truth, prediction, lambda t, p: _squares(t - p) / _squares(t))
+    return _each_trajectory(truth, prediction, normalised_errors)
 
 
 ERRORS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
@@ -65,18 +61,19 @@ ERRORS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 """Frame errors by the name of a protocol's metric."""
 
 
-def _squares(rows: np.ndarray) -> np.ndarray:
-    return np.einsum("tp,tp->t", rows, rows).astype(np.float64)
+def _mean_squares(truth: np.ndarray, prediction: np.ndarray) -> np.ndarray:
+    gap = _flat(truth) - _flat(prediction)
+    return np.einsum("tp,tp->t", gap, gap).astype(np.float64) / gap.shape[1]
 
 
-def _each_trajectory(truth: np.ndarray, prediction: np.ndarray, error: Any) -> np.ndarray:
+def _each_trajectory(truth: np.ndarray, prediction: np.ndarray, error: Callable) -> np.ndarray:
     if truth.shape != prediction.shape:
         raise KeycldError(
             f"truth and prediction need one shape [N, T, H, W, C]; got {truth.shape} and {prediction.shape}."
         )
     # A diverged prediction overflows to inf or gives NaN; both count as crossed.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return np.stack([error(_flat(t), _flat(p)) for t, p in zip(truth, prediction, strict=True)])
+        return np.stack([error(t, p) for t, p in zip(truth, prediction, strict=True)])
 
 
 class PixelMoments:

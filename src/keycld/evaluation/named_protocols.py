@@ -13,7 +13,7 @@ import re
 from typing import TYPE_CHECKING
 
 from keycld._errors import unknown
-from keycld.evaluation.metrics import DM_THRESHOLD
+from keycld.data.describe.normalised_error import THRESHOLD
 from keycld.evaluation.protocols import Protocol
 from keycld.models.base import AbstractModel, Reversible
 
@@ -67,7 +67,7 @@ def make_protocol(
         given,
         start,
         metric="normalised",
-        thresholds=(DM_THRESHOLD,),
+        thresholds=(THRESHOLD,),
         scored_from=64,
         direction=direction,
         trajectories=20,
