@@ -39,7 +39,7 @@ def test_splits_and_attributes(folder):
 
 def test_a_known_system_brings_its_keypoints(folder):
     assert open_data(folder).keypoints == ("tip",)
-    assert open_data(folder).required_constraints().count == 1
+    assert open_data(folder).constraints.count == 1
 
 
 def test_a_file_in_the_folder_brings_others(folder):
@@ -62,8 +62,6 @@ def test_foreign_data_need_constraints_only_for_models_that_do(tmp_path):
     data = open_data(tmp_path)
     assert len(data.train()) == 3
     assert data.constraints is None and data.keypoints == ()
-    with pytest.raises(KeycldError, match="no keypoints are known for 'my swing': put a constraints.toml"):
-        data.required_constraints()
     (tmp_path / "constraints.toml").write_text(CONSTRAINTS)
     assert open_data(tmp_path).keypoints == ("left", "right")
 

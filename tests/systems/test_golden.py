@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from keycld.data.protocols import PROTOCOLS, splits
+from keycld.data.generate.protocols import PROTOCOLS, splits
 from keycld.systems import Conditions, draw, get
 
 GOLDEN = Path(__file__).parent / "golden"

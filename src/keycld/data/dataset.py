@@ -173,20 +173,6 @@ class DataSet:
             return None
         return get(name).constraints
 
-    def required_constraints(self) -> "keycld.mechanics.Constraints":
-        """Return the constraints on the keypoints, for models that need them.
-
-        Raises:
-            KeycldError: there is neither a constraints file nor a suggestion of the system.
-        """
-        found = self.constraints
-        if found is None:
-            raise KeycldError(
-                f"no keypoints are known for '{self.system}': put a {CONSTRAINTS} into {self.folder}, or give one with "
-                "--constraints FILE.toml (docs/data.md shows one)."
-            )
-        return found
-
     @property
     def keypoints(self) -> tuple[str, ...]:
         """Names of the keypoints, in the order of the constraints file or of the system; () if there are none."""

@@ -69,7 +69,7 @@ def test_without_constraints_the_integrator_is_stoermer_verlet(getkey):
 
 
 def test_node2_accelerates_by_position_velocity_and_input(getkey):
-    law = configured("node2").build(SCENE, getkey()).law
+    law = configured("node2").build(SCENE, getkey()).moving_law
     x, v, u = (jax.random.normal(getkey(), (n,)) for n in (2, 2, 1))
     assert [k.shape for k in law.perceptron.kernels] == [(5, 64), (64, 64), (64, 64), (64, 2)]
     for k in range(3):
@@ -122,7 +122,7 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     for s in seen:
         heat = np.asarray(s.heat_maps)[0] / np.asarray(s.heat_maps).max()
         px, py = np.asarray(s.keypoints)[0]
-        blob = np.exp(-((axis[None, :] - px) ** 2 + (-axis[:, None] - py) ** 2) / (2 * 0.05**2))
+        blob = np.exp(-((axis[None, :] - px) ** 2 + (-axis[:, None] - py) ** 2) / (2 * 0.1**2))
         entropy.append(-np.mean(blob * np.log(heat + 1e-4) + (1 - blob) * np.log(1 - heat + 1e-4)))
     assert float(terms["heat_map"]) == pytest.approx(np.mean(entropy), rel=1e-3)
 

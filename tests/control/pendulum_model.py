@@ -1,14 +1,12 @@
-"""A model of the MuJoCo pendulum that needs no training: it sees the orange rod and knows the physics."""
-
-from typing import ClassVar
+"""A model of the MuJoCo pendulum that needs no training: it finds the orange rod and has the true physics."""
 
 import jax.numpy as jnp
 import numpy as np
 from true_physics import truth
 
 from keycld.control import Plant
-from keycld.mechanics import MechanicalDynamics, State
-from keycld.models import AbstractModel
+from keycld.mechanics import MechanicalDynamics, Motion, State
+from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian
 from keycld.systems import get
 from keycld.vision import Observation, image_grid
 
@@ -16,22 +14,21 @@ LENGTH = 0.49
 
 
 def picture(angle=0.0):
-    """What the camera sees of the pendulum at an angle."""
+    """The camera's picture of the pendulum at an angle."""
     with Plant(get("pendulum"), np.array([[angle, 0.0]]), workers=1) as plant:
         return plant.look()[0]
 
 
-class Watcher(AbstractModel):
-    """The direction of what is orange, at the length of the rod; draws nothing but the background."""
+class PendulumModel(AbstractModel, HasKeypoints, HasLagrangian):
+    """Its keypoint is the direction of what is orange, at the length of the rod; it renders only the background."""
 
     dynamics: MechanicalDynamics
     background: np.ndarray
 
-    context: ClassVar[int] = 2
-    reversible: ClassVar[bool] = True
+    context = 2
 
     @classmethod
-    def pendulum(cls):
+    def make(cls):
         two = np.stack([picture(0.0), picture(np.pi)])
         # Where the rod is in neither of the two, both show the background.
         background = np.where((two[0, ..., 0] > two[0, ..., 2])[..., None], two[1], two[0]) / 255.0
@@ -40,6 +37,10 @@ class Watcher(AbstractModel):
     @property
     def law(self):
         return self.dynamics.law
+
+    @property
+    def constants(self):
+        return None
 
     def anchor(self, n):
         return 1
@@ -51,6 +52,10 @@ class Watcher(AbstractModel):
 
     def keypoints(self, state):
         return state.coordinates.x.reshape(1, 2)
+
+    def at_rest(self, keypoints):
+        x = keypoints.reshape(-1)
+        return State(Motion(x, 0 * x), {"constants": self.law.constraint(x)})
 
     def render(self, state):
         return jnp.asarray(self.background, jnp.float32)

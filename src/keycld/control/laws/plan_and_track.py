@@ -1,6 +1,7 @@
-"""Control with limited or missing inputs: plan a motion, track it, hold the goal, plan again when lost."""
+"""Control with weak or missing inputs: plan a motion, track it, hold the goal, replan when the plan has failed."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,26 +13,30 @@ from keycld._errors import KeycldError
 from keycld.control.base import AbstractController, Belief
 from keycld.control.lqr import frame_step, stationary_gain
 from keycld.control.planning import Plan, Planner
+from keycld.control.registry import AbstractControlLaw, Problem, Trust, register_law
+from keycld.control.requirements import check_finite_limit
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Rattle
 
 _LOST = 0.25
-"""Image-plane units (eight pixels of 64) between a keypoint and where it should be."""
+"""Image-plane units (eight pixels of 64): farther than this from the plan, a copy needs a new plan."""
 _MISSES = 0.15
-"""The same at the end of a refined plan, which then does not reach the goal."""
+"""Image-plane units: a refined plan that ends farther than this from the goal does not reach it."""
 _LATE = 25
-"""Frames after the arrival in which the goal has to be near."""
-_FIRST_LOOK = 8
-"""Frames to find the velocity in before the first plan."""
+"""Frames after the planned arrival until the goal has to be near."""
+_STAY = 0.5
+"""Seconds at the end of a plan in which the goal is to be held."""
+_FIRST_FRAMES = 8
+"""Frames that the velocity is estimated from before the first plan."""
 
 
 class Tracked(NamedTuple):
-    """What the controller remembers.
+    """Memory of the controller.
 
     Attributes:
-        plan: the one that is followed.
-        age: its frame that is next.
-        clock: frames since the last plan from nothing.
-        lost: whether another one is needed.
+        plan: the plan that is followed.
+        age: number of its next frame.
+        clock: frames since the last new plan; refinements do not count.
+        lost: whether a new plan is needed.
     """
 
     plan: Plan
@@ -43,21 +48,24 @@ class Tracked(NamedTuple):
 class PlanAndTrack(AbstractController):
     """Model-predictive control for inputs that are too few or too weak to shape the energy.
 
-    From what is believed after the first frames a motion to the goal is planned in the learned dynamics (`Planner`);
-    along it, time-varying linear–quadratic feedback keeps the system on the plan, and at its end stationary feedback
-    (`stationary_gain`) holds the goal. On the way the plan is refined every fifth of a second from where the system is:
-    near the upright acrobot errors grow e-fold in less than half a second, and feedback under a limit mends small ones
-    only. A copy that is eight pixels from where it should be, or whose refined plan misses the goal, gets a new plan.
+    After the first frames a motion to the goal is planned in the learned dynamics (`Planner`). Along it, time-varying
+    linear–quadratic feedback u = u_k − K_k (z − z_k) keeps the system on the plan, with z = (x, v); at its end,
+    stationary feedback (`stationary_gain`) holds the goal. On the way the plan is refined every fifth of a second from
+    the estimated state: near the upright pose errors of the acrobot grow e-fold in less than half a second, and
+    feedback under a limit corrects only small ones. A copy whose keypoints are more than eight pixels off the plan, or
+    whose refined plan misses the goal, gets a new plan.
 
-    Tracking is a matrix product a frame. Planning takes longer than a frame and is not counted as a step: in simulation
-    the world waits for it.
+    Tracking is one matrix product a frame. Planning takes longer than a frame and is not counted as a step: in
+    simulation the world waits for it.
 
     Attributes:
         planner: of motions.
-        gain: [a, 4K], that holds the goal.
-        ahead: [4K, 4K], its cost-to-go.
-        rest: frames between two plans of one copy from nothing, at least.
+        gain: [a, 4K], the stationary gain that holds the goal.
+        ahead: [4K, 4K], the cost-to-go at the goal.
+        rest: the least number of frames between two new plans of one copy.
         refresh: frames between two refinements.
+
+    Good values: plans of 4 s, refined every 0.2 s, at most one new plan every 0.5 s.
     """
 
     planner: Planner
@@ -76,24 +84,23 @@ class PlanAndTrack(AbstractController):
         dt: float,
         seconds: float = 4.0,
     ) -> "PlanAndTrack":
-        """A controller for a goal.
+        """Return a controller for a goal.
 
         Args:
             law: learned masses, potential energy, input matrix, constraints.
-            goal: x* [2K].
-            actuators: numbers of the inputs that act.
+            goal: x* [2K], image-plane units.
+            actuators: positions of the inputs that act.
             limit: the largest |u|, finite.
             dt: seconds between frames.
-            seconds: of a plan.
+            seconds: length of a plan.
 
         Raises:
             KeycldError: there is no limit, or the inputs cannot hold the goal.
         """
-        if not np.isfinite(limit):
-            raise KeycldError("a planned motion needs an input limit: give one, such as --limit 3.")
+        check_finite_limit(limit, "a planned motion needs")
         # One step a frame is enough for a plan that feedback follows.
         dynamics = MechanicalDynamics(law, Rattle(substeps=1))
-        inputs = law.fields(goal)[1].shape[1]  # pyright: ignore[reportOptionalMemberAccess]
+        inputs = law.inputs or 0
         planner = Planner(
             dynamics,
             jnp.concatenate([goal, 0 * goal]),
@@ -102,15 +109,15 @@ class PlanAndTrack(AbstractController):
             limit,
             dt,
             round(seconds / dt),
-            round(0.5 / dt),
+            round(_STAY / dt),
         )
         weights = planner.hold._replace(input=planner.hold.input * limit)
         gain, ahead = stationary_gain(dynamics, goal, jnp.zeros(inputs), law.constraint(goal), actuators, dt, weights)
         matrices = jnp.asarray(gain, goal.dtype), jnp.asarray(ahead, goal.dtype)
         return cls(planner, *matrices, rest=round(0.5 / dt), refresh=round(0.2 / dt))
 
-    def begin(self) -> Tracked:
-        """No plan yet."""
+    def initial_memory(self) -> Tracked:
+        """Return a memory without a plan."""
         steps, size = self.planner.horizon, self.planner.goal.shape[0]
         nothing = Plan(
             jnp.zeros((steps + 1, size)),
@@ -119,10 +126,10 @@ class PlanAndTrack(AbstractController):
             jnp.asarray(jnp.inf),
         )
         zero = jnp.zeros((), jnp.int32)
-        return Tracked(nothing, zero, zero + self.rest - _FIRST_LOOK, jnp.asarray(True))
+        return Tracked(nothing, zero, zero + self.rest - _FIRST_FRAMES, jnp.asarray(True))
 
     def act(self, belief: Belief, memory: Tracked) -> tuple[Float[Array, "l"], Tracked]:
-        """Feedback about the plan, and about the goal after its end; nothing before the first plan."""
+        """Return feedback about the plan, about the goal after its end, and zero before the first plan."""
         plan, age, clock = memory.plan, memory.age, memory.clock
         z, goal, last = jnp.concatenate(belief.state.coordinates), self.planner.goal, self.planner.horizon
         known = jnp.isfinite(plan.cost)
@@ -132,8 +139,8 @@ class PlanAndTrack(AbstractController):
         lost = ~known | off_plan | (late & (_distance(z, goal) > _LOST))
         return u, Tracked(plan, age + 1, clock + 1, lost)
 
-    def attend(self, beliefs: Belief, memories: Tracked, held: Float[np.ndarray, "n l"]) -> Tracked:
-        """Plan for the copies that are lost and refine the others' plans, from where they will be at the next frame."""
+    def replan(self, beliefs: Belief, memories: Tracked, held: Float[np.ndarray, "n l"]) -> Tracked:
+        """Plan for the copies that are lost and refine the others' plans, from their state at the next frame."""
         clock, lost = np.asarray(memories.clock), np.asarray(memories.lost)
         known = np.isfinite(np.asarray(memories.plan.cost))
         on_the_way = known & ~lost & (clock % self.refresh == 0) & (clock < self.planner.arrival)
@@ -161,5 +168,36 @@ class PlanAndTrack(AbstractController):
 
 
 def _distance(z: Array, other: Array) -> Array:
-    """The largest difference of a keypoint's coordinate."""
+    """Return the largest difference of a keypoint's coordinate."""
     return jnp.max(jnp.abs(z - other)[: z.shape[0] // 2])
+
+
+@register_law
+@dataclass(frozen=True)
+class PlanAndTrackLaw(AbstractControlLaw):
+    """Model-predictive control: plan a motion, track it, replan; for weak or missing inputs. Needs --limit.
+
+    Attributes:
+        horizon: length of a plan, seconds.
+    """
+
+    name: ClassVar[str] = "mpc"
+    # A plan relies on the learned dynamics and needs accurate velocities more than the missing acceleration.
+    trust: ClassVar[Trust] = Trust(acceleration_error=1.0, adaptation=0.0)
+    horizon: float = 4.0
+
+    def __post_init__(self):
+        """Check that a plan has time to reach the goal before it holds it."""
+        if not self.horizon > _STAY:
+            raise KeycldError(
+                f"setting horizon is longer than {_STAY} s, which serve to hold the goal, not {self.horizon}."
+            )
+
+    def controller(self, problem: Problem) -> PlanAndTrack:
+        """Return the controller for a problem.
+
+        Raises:
+            KeycldError: there is no limit, or the inputs cannot hold the goal.
+        """
+        law, goal, actuators, limit, dt, _ = problem
+        return PlanAndTrack.towards(law, goal, actuators, limit, dt, self.horizon)
