@@ -83,6 +83,7 @@ def references(data: "DataSet") -> References:
         if known:
             n, t = visited(taken, about.frames, step)
             images.append(image[n, t])
+            assert recordings.state is not None
             states.append(recordings.state[n, t])
     return References(
         epsilon=validation.epsilon,
