@@ -17,7 +17,6 @@ from keycld.training import run_folder
 from scenes import TINY, write_data
 
 
-
 def flags(settings, prefix="--"):
     """Settings as the flags of a command line: --vision.steps 6."""
     words = []

@@ -105,14 +105,18 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
 
 
 def test_a_renamed_field_is_a_migration_and_not_damage(tmp_path):
-    save_arrays(tmp_path / "w.safetensors", {"start": {"constants": np.arange(2.0, dtype="f4")}, "dynamics": np.ones((), "f4")})
+    save_arrays(
+        tmp_path / "w.safetensors", {"start": {"constants": np.arange(2.0, dtype="f4")}, "dynamics": np.ones((), "f4")}
+    )
     like = {"initial_state": {"constants": np.zeros(2, "f4")}, "dynamics": np.zeros((), "f4")}
     found = load_arrays(tmp_path / "w.safetensors", like, {"start.": "initial_state."})
     np.testing.assert_array_equal(found["initial_state"]["constants"], [0, 1])
     with pytest.raises(KeycldError, match="'initial_state.constants' is missing"):
         load_arrays(tmp_path / "w.safetensors", like)
     with pytest.raises(KeycldError, match=r"has the shape \[2\], not \[3\]"):
-        load_arrays(tmp_path / "w.safetensors", {"start": {"constants": np.zeros(3, "f4")}, "dynamics": np.zeros((), "f4")})
+        load_arrays(
+            tmp_path / "w.safetensors", {"start": {"constants": np.zeros(3, "f4")}, "dynamics": np.zeros((), "f4")}
+        )
 
 
 def test_a_later_schema_is_refused(whole, tmp_path):
@@ -184,7 +188,12 @@ def test_a_truncated_checkpoint_is_named(tmp_path):
 
 
 def test_arrays_of_every_kind_come_back_as_they_were(tmp_path):
-    tree = {"scalar": np.float32(2.5), "empty": np.zeros((0, 3), "f4"), "bits": np.array([True, False]), "n": np.array(7, "i4")}
+    tree = {
+        "scalar": np.float32(2.5),
+        "empty": np.zeros((0, 3), "f4"),
+        "bits": np.array([True, False]),
+        "n": np.array(7, "i4"),
+    }
     save_arrays(tmp_path / "a.safetensors", {**tree, "none": None, "function": np.sin})
     found = load_arrays(tmp_path / "a.safetensors", {k: np.zeros_like(v) for k, v in tree.items()})
     for name, value in named_arrays(tree).items():

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from keycld.systems import get
 from keycld.data import make_data
 from keycld.evaluation import Protocol
 from keycld.models import ModelConfig, config_for
+from keycld.systems import get
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,6 @@ from keycld.vision import (
     Renderer,
 )
 
-
 M = TypeVar("M", bound=eqx.Module)
 
 
