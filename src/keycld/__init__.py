@@ -5,7 +5,7 @@ from keycld._version import __version__ as __version__
 
 
 def load(run):
-    """Return a trained model: one that comes with the package (`"pendulum"`, `"cartpole"`, `"acrobot"`), or of a run folder.
+    """Return a trained model, by its name in the package (pendulum, cartpole, acrobot) or from a run folder.
 
     ```python
     model = keycld.load("acrobot")
