@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -34,7 +35,7 @@ def test_constraints():
     page = run("constraints.md")
     again = parse_constraints(page["text"], "the page")
     assert again == page["weights"]
-    np.testing.assert_allclose(again(np.array([-0.5, 0.0, 0.5, 0.2], np.float32)), [1.4], rtol=1e-6)
+    np.testing.assert_allclose(again(jnp.array([-0.5, 0.0, 0.5, 0.2])), [1.4], rtol=1e-6)
 
 
 @pytest.mark.parametrize("block", re.findall(r"```toml\n(.*?)```", (DOCS / "constraints.md").read_text(), re.DOTALL))
