@@ -221,7 +221,7 @@ def test_only_the_inputs_of_the_training_data_are_the_models(model):
     acrobot = get("acrobot")
     assert plant_inputs(model, ("elbow_torque",), acrobot) == (1,)
     assert plant_inputs(with_inputs(model, (0, 0)), ("elbow_torque", "shoulder_torque"), acrobot) == (1, 0)
-    with pytest.raises(KeycldError, match="1 inputs, but 2 are named"):
+    with pytest.raises(KeycldError, match="takes 1 .* but 2 are named"):
         plant_inputs(model, acrobot.input_names, acrobot)
     with pytest.raises(KeycldError, match="no input 'wheel': choose from shoulder_torque, elbow_torque"):
         plant_inputs(model, ("wheel",), acrobot)

@@ -23,7 +23,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "control.md"
 def push(tmp_path, monkeypatch):
     """The example law of docs/control.md, imported from a file of its own; forgotten afterwards."""
     monkeypatch.setattr(registry, "_LAWS", dict(control_laws()))
-    code = next(block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S) if "register_law" in block)
+    code = next(
+        block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S) if "register_law" in block
+    )
     path = tmp_path / "push.py"
     path.write_text(code)
     spec = importlib.util.spec_from_file_location("push", path)

@@ -1,6 +1,7 @@
 """`keycld control`."""
 
 import ast
+import math
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -80,7 +81,7 @@ def control(
         workers: Processes that simulate and render, at most four; by default one a core.
         json: Print the scores as JSON instead of a summary.
     """
-    from keycld.cli.train import parse_setting
+    from keycld.cli.settings import parse_setting
     from keycld.control import ControlConfig, Disturbance, law_named, swing_up
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
@@ -100,6 +101,8 @@ def control(
     picture = None if goal == "upright" else _picture(Path(goal))
     folder = run_folder(run)
     model, config = load_run(folder)
+    if math.isnan(config.epsilon):
+        raise KeycldError(f"{folder} is of an earlier version, which did not record ε of its data: train it again.")
     result = swing_up(
         model,
         get(config.system),

@@ -51,7 +51,7 @@ def plant_inputs(lagrangian: HasLagrangian, names: Sequence[str], system: Abstra
         )
     if inputs != len(names):
         raise KeycldError(
-            f"this model has {inputs} inputs, but {len(names)} are named ({', '.join(names)}): name the inputs of its "
+            f"the model takes {inputs} input(s), but {len(names)} are named ({', '.join(names)}): name those of its "
             "training data, in their order."
         )
     positions_of(system.input_names, names)
