@@ -43,7 +43,7 @@ def plant_inputs(lagrangian: HasLagrangian, names: Sequence[str], system: Abstra
     Raises:
         KeycldError: the model has no input, or another number than there are names; or the system lacks one of them.
     """
-    inputs = lagrangian.law.inputs or 0
+    inputs = lagrangian.law.inputs
     if not inputs:
         raise KeycldError(
             "this model was trained on data without inputs, so it knows the effect of none: train on data that "
