@@ -3,7 +3,7 @@
 import ast
 import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
@@ -48,7 +48,7 @@ def control(
     seconds: float = 10.0,
     trials: int = 1,
     seed: int = 0,
-    estimator: Literal["predict-correct", "differences"] = "predict-correct",
+    estimator: Annotated[str, tyro.conf.arg(metavar="NAME")] = "predict-correct",
     noise: float = 0.0,
     drop: float = 0.0,
     out: Path | None = None,
@@ -74,7 +74,7 @@ def control(
         seconds: Duration of each trial.
         trials: How many random initial states, all at rest; the first one is timed and shown.
         seed: Of initial states, noise and random inputs.
-        estimator: How velocities are estimated: predict-correct uses the learned dynamics, differences two frames.
+        estimator: The state estimator: predict-correct uses the learned dynamics, differences the last two frames.
         noise: Deviation of noise on the pictures, as a share of the full range.
         drop: Probability that a frame does not arrive.
         out: Folder for the results; by default the run's own.
