@@ -69,7 +69,7 @@ def build(
 
     if config.model == "node2":
         law = SecondOrderNetwork(2 * count, scene.inputs, 2 * width, key=keys[0])
-        return NODE2(estimator, moved_by(law), renderer, initial)
+        return NODE2(estimator=estimator, dynamics=moved_by(law), renderer=renderer, initial_state=initial)
     masses = PointMasses.ones(count) if unit_masses else PointMasses.near_zero(count, key=jax.random.fold_in(key, 5))
     phi = config.phi.distances() if distances else config.phi
     law = ConstrainedLagrangian(
