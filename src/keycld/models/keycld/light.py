@@ -77,7 +77,13 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         constraint=None if config.model == "keycld-nc" else config.phi,
     )
     dynamics = MechanicalDynamics(law, Rattle(substeps=config.substeps))
-    return KeyCLD(estimator, dynamics, renderer, _initial_state(config), VelocityPrior.unknown())
+    return KeyCLD(
+        estimator=estimator,
+        dynamics=dynamics,
+        renderer=renderer,
+        initial_state=_initial_state(config),
+        velocity_prior=VelocityPrior.unknown(),
+    )
 
 
 def _initial_state(config: "FastConfig") -> AbstractInitialState:

@@ -78,7 +78,7 @@ def build(
         input_matrix=MLPInputMatrix(2 * count, scene.inputs, width, key=keys[1]) if scene.inputs else None,
         constraint=None if config.model == "keycld-nc" else phi,
     )
-    return KeyCLD(estimator, moved_by(law), renderer, initial)
+    return KeyCLD(estimator=estimator, dynamics=moved_by(law), renderer=renderer, initial_state=initial)
 
 
 def _vision(
