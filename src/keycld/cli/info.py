@@ -5,7 +5,7 @@ import os
 
 def info() -> None:
     """Print versions of packages, the devices that JAX uses, and MuJoCo's OpenGL renderer."""
-    from keycld import KeycldError
+    from keycld._errors import KeycldError
     from keycld.systems import is_software, renderer_name
     from keycld.training import environment
 
