@@ -37,7 +37,7 @@ def models_table() -> str:
 
 
 def settings_tables() -> str:
-    """Return the settings of all presets: a table for each group of models, and of presets that derive from each other."""
+    """Return the settings of all presets: a table for each group of models, and of presets that share a config."""
     titles: dict[str, list[str]] = {}
     for model, entry in models().items():
         for presets in _related(entry.presets):
