@@ -175,3 +175,20 @@ def test_the_pages_family_in_a_package_of_its_own(site, own_models, tmp_path, mo
     assert (again.transition == model.transition).all()
     scores = evaluate(model, open_data(data), protocol_named("validation@12")).scores
     assert scores["mse"] < scores["epsilon"]
+
+
+def test_the_lock_file_pins_every_dependency_with_hashes_and_names_no_index():
+    lock = (ROOT / "requirements.lock").read_text()
+    assert "://" not in lock
+    entries = re.findall(r"^([\w.-]+)==\S+( \\\n +--hash=sha256:[0-9a-f]{64})+$", lock, re.MULTILINE)
+    pinned = {name.lower().replace("_", "-") for name, _ in entries}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    extras = project["project"]["optional-dependencies"]
+    wanted = [
+        *project["build-system"]["requires"],
+        *project["project"]["dependencies"],
+        *extras["envs"],
+        *extras["dev"],
+    ]
+    names = {re.match(r"[\w.-]+", each).group().lower().replace("_", "-") for each in wanted}
+    assert names <= pinned, f"not in requirements.lock: {names - pinned}; CONTRIBUTING.md has the command that makes it"

@@ -1,4 +1,4 @@
-"""Learn the physics of a moving thing from video, then predict and control it."""
+"""Learn the physics of a moving system from video, then predict and control it."""
 
 from keycld._errors import KeycldError as KeycldError
 from keycld._version import __version__ as __version__
