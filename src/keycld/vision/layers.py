@@ -1,7 +1,7 @@
-"""Convolutional layers, channels last, on one example `[H, W, C]`.
+"""Convolutional pieces, channels last, on one example `[H, W, C]`.
 
-They compute what the usual layers compute. Where XLA's own form is slow on a CPU (the gradient of max-pooling, the
-nearest-neighbour resize), an equal and faster form is used.
+They compute what the usual layers compute; where XLA's own form is slow on a CPU (max-pooling's gradient, the
+nearest-neighbour resize) an equal, faster form is used.
 """
 
 import equinox as eqx
@@ -11,23 +11,23 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 
 class Conv(eqx.Module):
-    """A convolution with a square kernel and zero padding that keeps the size.
+    """A convolution with square kernel and zero padding that keeps the size.
 
-    Initial kernels are N(0, 1/fan_in), truncated at two standard deviations; initial biases are zero. This is Flax's
-    default, which the paper's networks use.
+    Kernels start as N(0, 1/fan_in) truncated at two deviations, biases at zero (Flax's default, which the
+    paper's networks use).
     """
 
     kernel: Float[Array, "size size inputs outputs"]
     bias: Float[Array, " outputs"]
 
     def __init__(self, inputs: int, outputs: int, size: int = 3, *, key: PRNGKeyArray):
-        # Sampled as a matrix, which compiles three times faster; the numbers are the same.
+        # Drawn as a matrix, which compiles three times faster; the numbers are the same.
         flat = jax.nn.initializers.lecun_normal()(key, (size * size * inputs, outputs))
         self.kernel = flat.reshape(size, size, inputs, outputs)
         self.bias = jnp.zeros(outputs)
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Convolve one example."""
+        """Convolves one example."""
         y = jax.lax.conv_general_dilated(
             x[None], self.kernel.astype(x.dtype), (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
         )[0]
@@ -47,7 +47,7 @@ class GroupNorm(eqx.Module):
         self.groups = groups
 
     def __call__(self, x: Float[Array, "h w channels"]) -> Float[Array, "h w channels"]:
-        """Normalise one example; ε = 1e-6 as in Flax."""
+        """Normalises one example; ε = 1e-6 as in Flax."""
         # Means per channel first: they reduce the large axes once, and the groups are then a few numbers.
         mean = self._pool(jnp.mean(x, (0, 1)))
         square = self._pool(jnp.mean(x * x, (0, 1)))
@@ -60,7 +60,7 @@ class GroupNorm(eqx.Module):
 
 
 class Block(eqx.Module):
-    """3×3 convolution, group normalisation, ReLU: the block of the paper's networks (appendix A.4)."""
+    """3×3 convolution, group normalisation, ReLU: the paper's building block (appendix A.4)."""
 
     conv: Conv
     norm: GroupNorm
@@ -70,30 +70,30 @@ class Block(eqx.Module):
         self.norm = GroupNorm(outputs)
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Apply the block to one example."""
+        """Applies the block to one example."""
         return jax.nn.relu(self.norm(self.conv(x)))
 
 
 def max_pool(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """Return the maximum over each 2×2 patch."""
+    """2×2 max-pooling."""
     h, w, c = x.shape
     return jnp.max(x.reshape(h // 2, 2, w // 2, 2, c), axis=(1, 3))
 
 
 def upsample(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """Repeat each pixel twice in both directions: nearest-neighbour upsampling."""
+    """Nearest-neighbour upsampling by two."""
     return jnp.repeat(jnp.repeat(x, 2, axis=0), 2, axis=1)
 
 
 def space_to_depth(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
-    """Move each `factor × factor` patch of pixels into the channels, without loss."""
+    """Moves each `factor × factor` patch of pixels into the channels; nothing is lost."""
     h, w, c = x.shape
     x = x.reshape(h // factor, factor, w // factor, factor, c)
     return x.transpose(0, 2, 1, 3, 4).reshape(h // factor, w // factor, factor * factor * c)
 
 
 def depth_to_space(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
-    """Invert `space_to_depth`."""
+    """The inverse of `space_to_depth`."""
     h, w, c = x.shape
     x = x.reshape(h, w, factor, factor, c // factor**2).transpose(0, 2, 1, 3, 4)
     return x.reshape(h * factor, w * factor, c // factor**2)
