@@ -107,7 +107,7 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
 
 
 def figures(selection: Chosen, *, out: Path | None = None) -> None:
-    """Plot the error over time (Fig. 3), and make sheets (Figs. 4 and 13 to 15) and movies that compare the models.
+    """Write the KeyCLD paper's Figs. 1, 3 to 5 and 8 to 15 as far as results are stored, and movies side by side.
 
     Args:
         selection: Which experiments.
