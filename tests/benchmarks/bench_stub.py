@@ -56,7 +56,7 @@ def train_model(experiment, place):
 
 
 def begin(experiment, run):
-    write(run / "config.json", {"settings": experiment.recipe().settings()})
+    write(run / "config.json", {"settings": experiment.config().settings()})
     machine = {"processor": "stub", "cores": 2, "devices": ["cpu"], "packages": {}, "python": "3"}
     write(run / "environment.json", {"commit": "c0ffee", **machine})
 
