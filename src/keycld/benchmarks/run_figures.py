@@ -15,11 +15,13 @@ from keycld.drawing import (
     overlay_heat_maps,
     overlay_keypoints,
     sheet,
+    side_by_side,
     strip_figure,
 )
 from keycld.evaluation import Evaluation
 
 _STRIP_PICTURES = 9
+_V = "V, arb. units"
 _HALF_SPAN = 0.58
 """Half of the vertical axis, in units of the largest range of V: a little more than the curve needs."""
 
@@ -55,12 +57,15 @@ def _observation(result: Evaluation, n: int, scale: int) -> dict[str, UInt8[np.n
 
 
 def control_strip(result: Evaluation, scale: int = 2) -> UInt8[np.ndarray, "H W 3"]:
-    """Show the first trial of a closed-loop run from its first to its last frame, then the goal (Fig. 5)."""
-    frames = result.arrays["frames"]
-    index = np.round(np.linspace(0, len(frames) - 1, _STRIP_PICTURES)).astype(int)
-    row = np.concatenate([frames[index], result.arrays["goal_frame"][None]])
-    heads = [f"{k * result.scores['dt']:.2g} s" for k in index] + ["goal"]
-    return labelled_sheet([row], [""], heads, scale)
+    """Show the first trial of a closed-loop run until the goal is kept, then its last frame and the goal (Fig. 5)."""
+    frames, dt, settled = result.arrays["frames"], result.scores["dt"], result.scores["settled_seconds"][0]
+    last = len(frames) - 1
+    # Most of a trial looks like its end; a trial that never settles is shown as a whole.
+    stop = last if settled is None else min(max(round(settled / dt), _STRIP_PICTURES), last)
+    index = [*np.round(np.linspace(0, stop, _STRIP_PICTURES - 1)).astype(int), last]
+    row = enlarge(np.concatenate([frames[index], result.arrays["goal_frame"][None]]), scale)
+    heads = [f"{k * dt:.2g} s" for k in index] + ["goal"]
+    return side_by_side([frame[None] for frame in row], heads, gap=2)[0]
 
 
 class Potential(NamedTuple):
@@ -120,7 +125,7 @@ def _path_figure(
     limits = (-_HALF_SPAN * span, _HALF_SPAN * span) if span > 0 else None
     spacing = 45.0 if label.endswith("degrees") else None
     curve = Curve(values, potential - middle)
-    return strip_figure([curve], pictures, label, "potential energy V", y_limits=limits, x_spacing=spacing)
+    return strip_figure([curve], pictures, label, _V, y_limits=limits, x_spacing=spacing)
 
 
 def _grid_figure(
@@ -132,7 +137,7 @@ def _grid_figure(
     axes = values.reshape(rows, columns, 2)
     down, right = (90.0 if label.endswith("degrees") else None for label in labels)
     return map_figure(
-        table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "potential energy V", spacings=(right, down)
+        table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], _V, spacings=(right, down)
     )
 
 

@@ -73,7 +73,7 @@ def _trial(run: Run, name: str, result: Evaluation) -> str:
     caption += "." if settled is None else f", from {settled:.1f} s to the end."
     parts = [
         html.figure(html.movie(movie, frames[-1], None, "Camera picture with keypoints, and the goal"), caption),
-        html.figure(html.image(strip, "Pictures from the first to the last frame, and the goal"), "Compare Fig. 5."),
+        html.figure(html.image(strip, "Pictures until the goal is kept, and the goal"), "Compare Fig. 5."),
         html.figure(html.chart(control_figures.trials_figure(result), name), _curves_caption(scores)),
     ]
     return "".join(parts)
