@@ -136,9 +136,7 @@ def _grid_figure(
     table = (potential - potential.min()).reshape(rows, columns)
     axes = values.reshape(rows, columns, 2)
     down, right = (90.0 if label.endswith("degrees") else None for label in labels)
-    return map_figure(
-        table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], _V, spacings=(right, down)
-    )
+    return map_figure(table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], _V, spacings=(right, down))
 
 
 def _in_degrees(

@@ -136,13 +136,13 @@ def _movies(drawn: Illustrations) -> str:
 
 def _learned(drawn: Illustrations) -> str:
     note = (
-        "Learned keypoints and energies of KeyCLD, one trained model for each data set. V is known up to a constant and a "
-        "factor. Compare Figs. 1, 5 and 8 to 12 of the paper."
+        "Learned keypoints and energies of KeyCLD, one trained model for each data set. V is known up to a constant "
+        "and a factor. Compare Figs. 1, 5 and 8 to 12 of the paper."
     )
-    pictures = [
-        html.figure(f'<img src="{html.data_uri(each.path)}" alt="{html.text(each.title)}">', html.text(each.title) + ".")
-        for each in drawn.paper.made
-    ]
+    pictures = []
+    for each in drawn.paper.made:
+        title = html.text(each.title)
+        pictures.append(html.figure(f'<img src="{html.data_uri(each.path)}" alt="{title}">', f"{title}."))
     left_out = [html.paragraph(html.text(sentence), "note") for sentence in drawn.paper.left_out]
     return html.section("learned", "What KeyCLD learned", "".join([html.paragraph(note), *pictures, *left_out]))
 
