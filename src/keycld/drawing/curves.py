@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from keycld.drawing.frames import sheet
 from keycld.drawing.palette import INK
 
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "axes.titleweight": "normal",
@@ -257,7 +257,7 @@ def figure_svg(figure: Figure, name: str) -> str:
 
     `name` keeps the identifiers of several figures in one page apart.
     """
-    settings: dict[str, Any] = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
     with matplotlib.rc_context(settings), io.StringIO() as buffer:
         figure.savefig(buffer, format="svg", facecolor="none", metadata={"Date": None})
         text = buffer.getvalue()
