@@ -107,7 +107,7 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
 
 
 def figures(selection: Chosen, *, out: Path | None = None) -> None:
-    """Draw the error over time (Fig. 3), sheets of all models (Figs. 4 and 13 to 15) and movies side by side.
+    """Write the KeyCLD paper's Figs. 1, 3 to 5 and 8 to 15 as far as results are stored, and movies side by side.
 
     Args:
         selection: Which experiments.
@@ -116,8 +116,8 @@ def figures(selection: Chosen, *, out: Path | None = None) -> None:
     from keycld.benchmarks import illustrate
 
     experiments, place = selection.experiments(), selection.place()
-    for path in illustrate(experiments, place, out or place.group(experiments[0]) / "media").files:
-        print(path)
+    written = illustrate(experiments, place, out or place.group(experiments[0]) / "media")
+    print("\n".join([*map(str, written.files), *written.paper.left_out]))
 
 
 def report(selection: Chosen, *, out: Path | None = None) -> None:
