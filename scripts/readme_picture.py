@@ -1,6 +1,6 @@
-"""Draws the README's picture from evaluated runs: python scripts/readme_picture.py RUN [RUN ...].
+"""Write the README's picture from evaluated runs: python scripts/readme_picture.py RUN [RUN ...].
 
-The first test recording of each run, every sixth frame; what happened above what was predicted.
+Every sixth frame of each run's first test recording, with the prediction below.
 """
 
 import sys

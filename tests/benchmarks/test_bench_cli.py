@@ -93,7 +93,7 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
         (["table", "keycld", "--systems", "pendulum,acrobat"], ["did you mean 'acrobot'"]),
         (["status", "keycld", "--seeds", "0,x"], ["whole numbers", "'x'"]),
         (["run", "keycld", "--preset", "fats"], ["did you mean 'fast'"]),
-        (["run", "keycld", "--set", "joint_step=2"], ["did you mean 'joint_steps'"]),
+        (["run", "keycld", "--set", "joint_step=2"], ["did you mean 'joint.steps'"]),
         (["status", "keycld", "--only", "pendulum-fx-0"], ["did you mean 'pendulum-fc-0'"]),
         (["stauts", "keycld"], ["did you mean 'status'"]),
     ],

@@ -37,7 +37,7 @@ def figures():
 
 
 @pytest.mark.parametrize("name", figures())
-def test_a_figure_becomes_a_picture_and_words_stay_words(name, tmp_path):
+def test_a_figure_is_saved_as_png_and_as_svg_with_text(name, tmp_path):
     figure = figures()[name]
     save_figure(tmp_path / "a.png", figure)
     assert (tmp_path / "a.png").stat().st_size > 2000

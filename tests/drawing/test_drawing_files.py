@@ -46,7 +46,7 @@ def test_an_odd_size_is_made_even_for_mp4(tmp_path, frames):
     assert "20x16" in read_mp4(tmp_path / "a.mp4", 16, 20)[1]
 
 
-def test_a_gif_loops_for_ever_at_its_speed(tmp_path, frames):
+def test_a_gif_loops_forever_at_its_speed(tmp_path, frames):
     save_movie(tmp_path / "a.gif", frames, fps=25, scale=2)
     read = imageio.v3.imread(tmp_path / "a.gif")
     assert read.shape == (12, 32, 40, 3)

@@ -10,13 +10,13 @@ def stack(length, height=4, width=5, value=7):
     return np.full((length, height, width, 3), value, np.uint8)
 
 
-def test_floats_are_rounded_and_what_is_not_a_number_is_black():
+def test_floats_are_rounded_and_nan_is_black():
     frame = np.array([[[0.0, 1.0, 0.5]], [[np.nan, 2.0, -1.0]], [[np.inf, -np.inf, 0.2]]])
     np.testing.assert_array_equal(as_uint8(frame), [[[0, 255, 128]], [[0, 255, 0]], [[255, 0, 51]]])
     assert as_uint8(stack(1)).dtype == np.uint8
 
 
-def test_every_level_survives_the_way_to_float_and_back():
+def test_every_level_survives_conversion_to_float_and_back():
     levels = np.arange(256, dtype=np.uint8).reshape(1, 256, 1)
     np.testing.assert_array_equal(as_uint8(levels / np.float32(255)), levels)
 
@@ -29,7 +29,7 @@ def test_enlarging_keeps_pixels_square():
     np.testing.assert_array_equal(large[:, 0:3, 0:3], np.broadcast_to(frames[:, :1, :1], (2, 3, 3, 3)))
 
 
-def test_a_shorter_stack_waits_at_its_last_frame():
+def test_a_shorter_stack_repeats_its_last_frame():
     long, short = stack(3), np.concatenate([stack(1, value=1), stack(1, value=9)])
     both = side_by_side([long, short], gap=2)
     assert both.shape == (3, 4, 5 + 2 + 5, 3)
@@ -37,7 +37,7 @@ def test_a_shorter_stack_waits_at_its_last_frame():
     np.testing.assert_array_equal(both[0, 0, 5], GAP_COLOUR)
 
 
-def test_labels_stand_above_their_panels():
+def test_labels_are_above_their_panels():
     both = side_by_side([stack(1, width=80), stack(1, width=80)], ["truth", "prediction"], gap=0)
     strip = both[0, : both.shape[1] - 4]
     assert strip.shape[0] > 10
@@ -53,15 +53,15 @@ def test_a_sheet_shows_every_sixth_frame():
     np.testing.assert_array_equal(picture[4, ::4, 0], 100 + np.arange(0, 50, 6))
 
 
-def test_a_labelled_sheet_has_words_above_and_beside_its_frames():
+def test_a_labelled_sheet_has_heads_above_and_labels_left_of_its_frames():
     rows = [np.stack([np.full((16, 20, 3), 10 * n + k, np.uint8) for k in range(3)]) for n in range(2)]
     picture = labelled_sheet(rows, ["truth", "model"], ["0", "4", "8"], scale=2, gap=2)
     frames = picture[-(2 * 32 + 2) :, -(3 * 40 + 2 * 2) :]
     np.testing.assert_array_equal(frames[[0, 34]][:, [0, 42, 84], 0], [[0, 1, 2], [10, 11, 12]])
-    above, beside = picture[: -frames.shape[0], -frames.shape[1] :], picture[-frames.shape[0] :, : -frames.shape[1]]
+    above, left = picture[: -frames.shape[0], -frames.shape[1] :], picture[-frames.shape[0] :, : -frames.shape[1]]
     assert all(above[:, 42 * k : 42 * k + 40].max() > 200 for k in range(3))
-    assert beside[:32].max() > 200 and beside[34:].max() > 200
-    with pytest.raises(KeycldError, match="2 rows and 3 columns needs as many words; got 2 and 1"):
+    assert left[:32].max() > 200 and left[34:].max() > 200
+    with pytest.raises(KeycldError, match="2 rows and 3 columns needs as many labels and heads; got 2 and 1"):
         labelled_sheet(rows, ["truth", "model"], ["0"])
 
 

@@ -11,18 +11,18 @@ from keycld.vision import image_grid
 
 
 def test_the_image_plane_is_that_of_the_models():
-    """Positions of pixel centres by the room of vision, mapped back to pixel numbers."""
+    """`vision` gives the positions of all pixel centres; `to_pixels` gives back their numbers."""
     for height, width in ((64, 64), (16, 24), (30, 20)):
         pixels = to_pixels(np.asarray(image_grid(height, width), np.float64), height, width)
         rows, columns = np.mgrid[:height, :width]
         np.testing.assert_allclose(pixels, np.stack([columns, rows], axis=-1), atol=1e-4)
 
 
-def test_a_keypoint_is_drawn_where_it_is():
+def test_a_disc_is_at_its_keypoint():
     frames = np.zeros((1, 32, 32, 3), np.uint8)
     point = np.array([0.4, -0.2])
-    drawn = overlay_keypoints(frames, point[None, None], scale=4)[0]
-    disc = np.all(np.abs(drawn.astype(int) - np.array(KEYPOINT_COLOURS[0])) < 3, axis=-1)
+    shown = overlay_keypoints(frames, point[None, None], scale=4)[0]
+    disc = np.all(np.abs(shown.astype(int) - np.array(KEYPOINT_COLOURS[0])) < 3, axis=-1)
     rows, columns = np.nonzero(disc)
     expected = 4 * (to_pixels(point, 32, 32) + 0.5) - 0.5
     np.testing.assert_allclose([columns.mean(), rows.mean()], expected, atol=0.3)
@@ -42,7 +42,7 @@ def test_a_trail_fades_and_the_frames_are_not_changed():
     assert strength[0] > strength[1] > 0
 
 
-def test_keypoints_outside_or_not_finite_draw_nothing():
+def test_keypoints_outside_or_not_finite_change_nothing():
     frames = np.zeros((4, 8, 8, 3), np.uint8)
     path = np.array([[np.nan, 0.0], [np.inf, 0.0], [1e30, -1e30], [5.0, 5.0]])[:, None]
     assert overlay_keypoints(frames, path, trail=3).max() == 0
@@ -52,10 +52,10 @@ def test_heat_maps_glow_at_their_peak_also_at_half_resolution():
     frames = np.full((1, 16, 16, 3), 100, np.uint8)
     maps = np.zeros((1, 2, 8, 8))
     maps[0, 0, 1, 6], maps[0, 1, 7, 0] = 0.5, 0.001
-    drawn = overlay_heat_maps(frames, maps, scale=1)[0]
-    np.testing.assert_array_equal(drawn[2:4, 12:14], np.broadcast_to(KEYPOINT_COLOURS[0], (2, 2, 3)))
-    np.testing.assert_array_equal(drawn[14:16, 0:2], np.broadcast_to(KEYPOINT_COLOURS[1], (2, 2, 3)))
-    assert drawn[8, 8].max() < 100
+    shown = overlay_heat_maps(frames, maps, scale=1)[0]
+    np.testing.assert_array_equal(shown[2:4, 12:14], np.broadcast_to(KEYPOINT_COLOURS[0], (2, 2, 3)))
+    np.testing.assert_array_equal(shown[14:16, 0:2], np.broadcast_to(KEYPOINT_COLOURS[1], (2, 2, 3)))
+    assert shown[8, 8].max() < 100
 
 
 def test_the_time_line_fills_and_changes_colour():

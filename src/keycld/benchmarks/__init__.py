@@ -7,7 +7,14 @@ from keycld.benchmarks.figures import error_figure as error_figure
 from keycld.benchmarks.illustrate import Illustration as Illustration
 from keycld.benchmarks.illustrate import Illustrations as Illustrations
 from keycld.benchmarks.illustrate import illustrate as illustrate
+from keycld.benchmarks.paper_figures import PaperFigure as PaperFigure
+from keycld.benchmarks.paper_figures import PaperFigures as PaperFigures
+from keycld.benchmarks.paper_figures import paper_figures as paper_figures
 from keycld.benchmarks.pictures import movie_of as movie_of
+from keycld.benchmarks.run_figures import control_strip as control_strip
+from keycld.benchmarks.run_figures import grid_pictures as grid_pictures
+from keycld.benchmarks.run_figures import observation_sheet as observation_sheet
+from keycld.benchmarks.run_figures import potential_figures as potential_figures
 from keycld.benchmarks.running import run_experiments as run_experiments
 from keycld.benchmarks.status import Status as Status
 from keycld.benchmarks.status import count_states as count_states
@@ -34,6 +41,8 @@ __all__ = [
     "Experiment",
     "Illustration",
     "Illustrations",
+    "PaperFigure",
+    "PaperFigures",
     "Place",
     "Status",
     "Suite",
@@ -41,13 +50,18 @@ __all__ = [
     "as_csv",
     "as_markdown",
     "as_text",
+    "control_strip",
     "count_states",
     "done_results",
     "error_figure",
+    "grid_pictures",
     "illustrate",
     "movie_of",
+    "observation_sheet",
     "over_seeds",
+    "paper_figures",
     "parse_seeds",
+    "potential_figures",
     "provenance",
     "run_experiments",
     "status_of",

@@ -1,4 +1,4 @@
-"""Write a suite's figures, sheets and movies as files."""
+"""Write the figures, sheets and movies of a suite as files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,6 +7,7 @@ from pathlib import Path
 from keycld._errors import KeycldError
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.figures import error_figure
+from keycld.benchmarks.paper_figures import PaperFigures, paper_figures
 from keycld.benchmarks.pictures import Gallery, frames_per_second, gallery, movie_of, sheet_of
 from keycld.benchmarks.table import data_labels
 from keycld.drawing import save_figure, save_image, save_movie
@@ -15,11 +16,11 @@ from keycld.evaluation import Protocol
 
 @dataclass(frozen=True)
 class Illustration:
-    """What was drawn of one data set under one protocol.
+    """Sheet and movie of one data set under one protocol.
 
     Attributes:
-        gallery: the pictures.
-        protocol: the protocol.
+        gallery: the frames that they show.
+        protocol: how these were predicted.
         sheet: PNG, the layout of the paper's Figs. 13 to 15.
         movie: MP4, all models side by side. `movie.with_suffix(".gif")` is the same, smaller.
     """
@@ -32,28 +33,30 @@ class Illustration:
 
 @dataclass(frozen=True)
 class Illustrations:
-    """All that was drawn.
+    """All figures, sheets and movies of a suite.
 
     Attributes:
         errors: PNG of the error over time (Fig. 3), by the protocol's name.
-        pictures: of each data set whose run folders are there.
+        paper: what the trained KeyCLD models have learned (Figs. 1, 5 and 8 to 12).
+        pictures: of each data set whose run folders are there (Figs. 4 and 13 to 15).
     """
 
     errors: dict[str, Path]
+    paper: PaperFigures
     pictures: tuple[Illustration, ...]
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that was written."""
         moving = [path for each in self.pictures for path in (each.sheet, each.movie, each.movie.with_suffix(".gif"))]
-        return (*self.errors.values(), *moving)
+        return (*self.errors.values(), *(figure.path for figure in self.paper.made), *moving)
 
 
 def illustrate(experiments: Sequence[Experiment], place: Place, folder: Path) -> Illustrations:
-    """Draw Fig. 3 from the results, and sheets and movies from the run folders that are there.
+    """Write Fig. 3 from the results, and all other figures, sheets and movies from the run folders that are there.
 
-    Sheets and movies show the first trajectory of the test set and, over the shorter of the long horizons, that of
-    the long test.
+    Sheets and movies show the first recording of the test set and, over the shorter of the long horizons, that of the
+    long test.
 
     Raises:
         KeycldError: no experiment is done.
@@ -63,7 +66,7 @@ def illustrate(experiments: Sequence[Experiment], place: Place, folder: Path) ->
     for protocol in protocols:
         figure = error_figure(experiments, place, protocol)
         if figure is None:
-            raise KeycldError("none of these experiments is done, so there is nothing to draw: keycld bench run.")
+            raise KeycldError("none of these experiments is done, so there is nothing to plot: keycld bench run.")
         errors[protocol.name] = folder / f"error-{protocol.name}.png"
         save_figure(errors[protocol.name], figure)
     pictures = []
@@ -72,17 +75,17 @@ def illustrate(experiments: Sequence[Experiment], place: Place, folder: Path) ->
         for label in data_labels(experiments):
             found = gallery(experiments, place, label, protocol)
             if found is not None:
-                pictures.append(_draw(found, protocol, folder))
-    return Illustrations(errors, tuple(pictures))
+                pictures.append(_save(found, protocol, folder))
+    return Illustrations(errors, paper_figures(experiments, place, folder), tuple(pictures))
 
 
-def _draw(found: Gallery, protocol: Protocol, folder: Path) -> Illustration:
+def _save(found: Gallery, protocol: Protocol, folder: Path) -> Illustration:
     name = f"{found.label}-{protocol.name}"
-    drawn = Illustration(found, protocol, folder / f"sheet-{name}.png", folder / f"movie-{name}.mp4")
+    saved = Illustration(found, protocol, folder / f"sheet-{name}.png", folder / f"movie-{name}.mp4")
     # As many columns as the paper's: every fourth of 50 frames.
     every = max(1, round(4 * len(found.truth) / 50))
-    save_image(drawn.sheet, sheet_of(found, every))
+    save_image(saved.sheet, sheet_of(found, every))
     fps = frames_per_second(found)
-    save_movie(drawn.movie, movie_of(found), fps, scale=1)
-    save_movie(drawn.movie.with_suffix(".gif"), movie_of(found, scale=2), fps, scale=1)
-    return drawn
+    save_movie(saved.movie, movie_of(found), fps, scale=1)
+    save_movie(saved.movie.with_suffix(".gif"), movie_of(found, scale=2), fps, scale=1)
+    return saved

@@ -1,4 +1,4 @@
-"""Truth and the predictions of all models together: the sheets of the paper's Figs. 4 and 13 to 15, and movies."""
+"""Truth and the predictions of all models together: sheets like the paper's Figs. 4 and 13 to 15, and movies."""
 
 import contextlib
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ TRUTH = "ground truth"
 
 @dataclass(frozen=True)
 class Gallery:
-    """The first trajectory of a protocol as it was and as each model predicts it.
+    """The first trajectory of a protocol: ground truth and each model's prediction.
 
     Attributes:
         label: the data set.
@@ -27,8 +27,8 @@ class Gallery:
         dt: seconds between frames of the recording.
         truth: `[n, H, W, 3]`.
         predictions: by the model's title, each `[n, H, W, 3]`.
-        valid: likewise, whether the prediction has stayed below ε up to each stored frame `[n]`.
-        seeds: likewise, which seed is shown.
+        valid: by the model's title, whether the prediction is still valid at each stored frame `[n]`.
+        seeds: by the model's title, the seed that is shown.
     """
 
     label: str
@@ -41,7 +41,7 @@ class Gallery:
 
 
 def gallery(experiments: Sequence[Experiment], place: Place, label: str, protocol: Protocol) -> Gallery | None:
-    """What the run folders of the done experiments on one data set hold; None where all are gone.
+    """Read the predictions of one data set from the run folders of the done experiments; None where all are gone.
 
     Each model is shown with the first of its seeds that has a run folder: not chosen by its score.
     """
@@ -74,22 +74,22 @@ def gallery(experiments: Sequence[Experiment], place: Place, label: str, protoco
 
 
 def sheet_of(found: Gallery, every: int = 4, scale: int = 2) -> UInt8[np.ndarray, "H W 3"]:
-    """Every fourth frame: the ground truth above, the models below one another (Figs. 4 and 13 to 15)."""
+    """Lay out every fourth frame: the ground truth above, one model a row below (Figs. 4 and 13 to 15)."""
     rows = [found.truth, *found.predictions.values()]
     heads = [str(number) for number in found.index[::every]]
     return labelled_sheet([row[::every] for row in rows], [TRUTH, *found.predictions], heads, scale)
 
 
 def movie_of(found: Gallery, scale: int = 4) -> UInt8[np.ndarray, "T H W 3"]:
-    """Ground truth and all models side by side, each with a bar that turns red when the prediction is not valid."""
+    """Put ground truth and all models side by side, each with a bar that is red where the prediction is not valid."""
     always = np.ones(len(found.truth), bool)
     panels = [(found.truth, always), *((found.predictions[title], found.valid[title]) for title in found.predictions)]
     stacks = [overlay_timeline(enlarge(frames, scale), good, height=2 * scale) for frames, good in panels]
     frames = side_by_side(stacks, [TRUTH, *found.predictions])
-    # The last one is held for half a second, so that the eye finds the start again.
+    # The last frame is repeated for half a second, so the viewer sees where the loop restarts.
     return np.concatenate([frames, np.repeat(frames[-1:], 12, axis=0)])
 
 
 def frames_per_second(found: Gallery) -> float:
-    """Of its movie: real time, but at most 25 pictures a second."""
+    """Return the frame rate of its movie: real time, but at most 25 frames a second."""
     return min(25.0, 1.0 / (found.dt * float(found.index[1] - found.index[0])))

@@ -116,8 +116,8 @@ def figures(selection: Chosen, *, out: Path | None = None) -> None:
     from keycld.benchmarks import illustrate
 
     experiments, place = selection.experiments(), selection.place()
-    for path in illustrate(experiments, place, out or place.group(experiments[0]) / "media").files:
-        print(path)
+    written = illustrate(experiments, place, out or place.group(experiments[0]) / "media")
+    print("\n".join([*map(str, written.files), *written.paper.left_out]))
 
 
 def report(selection: Chosen, *, out: Path | None = None) -> None:

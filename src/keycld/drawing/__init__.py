@@ -1,4 +1,4 @@
-"""Arrays → PNG, GIF and MP4. No physics: this room knows pixels, curves and colours only."""
+"""Arrays → PNG, GIF and MP4. No physics: only pixels, curves and colours."""
 
 from keycld.drawing.curves import Curve as Curve
 from keycld.drawing.curves import Limit as Limit

@@ -2,7 +2,6 @@
 
 import io
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +15,7 @@ from matplotlib.ticker import MaxNLocator, MultipleLocator
 from keycld.drawing.frames import sheet
 from keycld.drawing.palette import INK
 
-_STYLE: dict[str, Any] = {
+_STYLE: Any = {
     "font.size": 9.0,
     "axes.titlesize": 9.0,
     "axes.titleweight": "normal",
@@ -46,20 +45,16 @@ _STYLE: dict[str, Any] = {
 }
 
 
-def _settings(settings: Any) -> AbstractContextManager[None]:
-    return matplotlib.rc_context(settings)
-
-
 @dataclass(frozen=True)
 class Curve:
-    """One curve y(x) with an optional band between `low` and `high`.
+    """One curve y(x), with an optional band between `low` and `high`.
 
     Attributes:
         x: `[n]`.
         y: `[n]`; NaN leaves a gap.
-        label: what the legend says; empty for none.
+        label: in the legend; empty for none.
         colour: hexadecimal; by default the next of the palette.
-        dashed: dashed line, for what is not a result (baselines, references).
+        dashed: for what is not a result (baselines, references).
         low: lower edge of the band `[n]`.
         high: upper edge of the band `[n]`.
     """
@@ -75,7 +70,13 @@ class Curve:
 
 @dataclass(frozen=True)
 class Limit:
-    """A horizontal (or, in a histogram, vertical) dashed line with its name."""
+    """A dashed line with a name: horizontal, or vertical in a histogram.
+
+    Attributes:
+        value: where it crosses its axis.
+        label: its name.
+        colour: hexadecimal.
+    """
 
     value: float
     label: str
@@ -91,15 +92,15 @@ def curves_figure(
     logarithmic: bool = False,
     size: tuple[float, float] = (5.4, 3.2),
 ) -> Figure:
-    """Curves with bands over one axis, with dashed limits (the layout of the paper's Fig. 3)."""
-    with _settings(_STYLE):
+    """Plot curves with bands over one axis, with dashed limits (the layout of the KeyCLD paper's Fig. 3)."""
+    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
-        _draw(axes, curves, logarithmic)
+        _plot(axes, curves, logarithmic)
         if any(curve.label for curve in curves):
-            figure.legend(loc="outside upper left", ncols=2)  # beside the curves, which cross the whole of the axes
+            figure.legend(loc="outside upper left", ncols=2)  # outside: the curves cross all of the axes
         for limit in limits:
-            _draw_limit(axes, limit)
+            _plot_limit(axes, limit)
         axes.set_xlabel(x_label)
         axes.set_ylabel(y_label)
         return figure
@@ -116,21 +117,21 @@ def panels_figure(
     limits: Sequence[Limit] = (),
     panel_size: tuple[float, float] = (2.9, 1.9),
 ) -> Figure:
-    """Small multiples: one titled panel for each entry, on one horizontal axis.
+    """Plot small multiples: one titled panel for each entry, on one horizontal axis.
 
     Args:
-        panels: pairs of a title and the curves under it; the labels of the first stand above all.
+        panels: pairs of a title and the curves under it; the first panel's labels are the legend of all.
         x_label: below the lowest row.
         y_label: left of the first column.
         columns: panels in a row.
-        logarithmic: vertical axes.
-        marks: vertical hairlines (x, word) in every panel; the words stand in the first row.
-        limits: horizontal dashed lines, one a panel in their order, or none.
-        panel_size: inches.
+        logarithmic: whether the vertical axes are.
+        marks: vertical hairlines (x, text) in every panel; the texts are above the first row.
+        limits: horizontal dashed lines, one for each panel, or none.
+        panel_size: width and height, inches.
     """
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    with _settings(_STYLE):
+    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(columns * panel_size[0], rows * panel_size[1] + 0.25), layout="constrained")
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for k, axes in enumerate(grid.flat):
@@ -138,7 +139,7 @@ def panels_figure(
                 axes.set_axis_off()
                 continue
             title, curves = panels[k]
-            _draw(axes, curves, logarithmic)
+            _plot(axes, curves, logarithmic)
             axes.set_title(title, color=INK.text, pad=14.0 if marks and k < columns else 6.0)
             for x, word in marks:
                 axes.axvline(x, color=INK.line, linewidth=0.8, zorder=0)
@@ -148,7 +149,7 @@ def panels_figure(
                         textcoords="offset points", fontsize=6.5, color=INK.quiet, annotation_clip=False,
                     )  # fmt: skip
             if limits:
-                _draw_limit(axes, limits[k])
+                _plot_limit(axes, limits[k])
             if k % columns == 0:
                 axes.set_ylabel(y_label)
             if k + columns >= len(panels):
@@ -170,8 +171,8 @@ def histogram_figure(
     limits: Sequence[Limit] = (),
     size: tuple[float, float] = (5.4, 3.2),
 ) -> Figure:
-    """How many of `values` fall in each of `bins` equal bins of `span`, with dashed vertical limits."""
-    with _settings(_STYLE):
+    """Plot how many of `values` fall in each of `bins` equal bins of `span`, with dashed vertical limits."""
+    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         _, edges, _ = axes.hist(values, bins=bins, range=span, color=INK.one, rwidth=0.88)
@@ -198,8 +199,8 @@ def map_figure(
     spacings: tuple[float | None, float | None] = (None, None),
     size: tuple[float, float] = (5.4, 4.5),
 ) -> Figure:
-    """A function of two variables as colours with contour lines; `values[i, j]` is at (`x[j]`, `y[i]`)."""
-    with _settings(_STYLE):
+    """Plot a function of two variables as colours with contour lines; `values[i, j]` is at (`x[j]`, `y[i]`)."""
+    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=size, layout="constrained")
         axes = figure.add_subplot()
         mesh = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", rasterized=True)
@@ -226,22 +227,22 @@ def strip_figure(
     width: float = 11.0,
     curve_height: float = 1.8,
 ) -> Figure:
-    """Curves with a strip of pictures above them (the layout of the paper's Fig. 8 to 12).
+    """Plot curves below a strip of pictures (the layout of the KeyCLD paper's Figs. 8 to 12).
 
-    The pictures, two or more, are evenly spaced: the first over the start of the axis, the last over its end.
+    The pictures, two or more, are evenly spaced: the first above the lowest x, the last above the highest.
     """
     number = len(thumbnails)
-    start, stop = (float(edge(curves[0].x)) for edge in (np.min, np.max))
-    margin = (stop - start) / (number - 1) / 2.0
+    low, high = (float(edge(curves[0].x)) for edge in (np.min, np.max))
+    margin = (high - low) / (number - 1) / 2.0
     strip_height = width / number * thumbnails.shape[1] / thumbnails.shape[2]
-    with _settings(_STYLE):
+    with matplotlib.rc_context(_STYLE):
         figure = Figure(figsize=(width, curve_height + strip_height + 0.4), layout="constrained")
         above, below = figure.subplots(2, 1, height_ratios=(1.05 * strip_height, curve_height))
         above.imshow(sheet([thumbnails], every=1, gap=2), interpolation="nearest", aspect="equal")
         above.set_anchor("S")
         above.set_axis_off()
-        _draw(below, curves, logarithmic=False)
-        below.set_xlim(start - margin, stop + margin)
+        _plot(below, curves, logarithmic=False)
+        below.set_xlim(low - margin, high + margin)
         if y_limits is not None:
             below.set_ylim(*y_limits)
         if x_spacing is not None:
@@ -252,18 +253,18 @@ def strip_figure(
 
 
 def figure_svg(figure: Figure, name: str) -> str:
-    """The figure as an `<svg>` element whose words stay words, to be set inside a page.
+    """Convert a figure to an `<svg>` element for a page, with its words as text.
 
     `name` keeps the identifiers of several figures in one page apart.
     """
-    settings = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
-    with _settings(settings), io.StringIO() as buffer:
+    settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
+    with matplotlib.rc_context(settings), io.StringIO() as buffer:
         figure.savefig(buffer, format="svg", facecolor="none", metadata={"Date": None})
         text = buffer.getvalue()
     return text[text.index("<svg") :]
 
 
-def _draw_limit(axes: Axes, limit: Limit) -> None:
+def _plot_limit(axes: Axes, limit: Limit) -> None:
     axes.axhline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.annotate(
         limit.label, (1.0, limit.value), (3, 0), xycoords=("axes fraction", "data"),
@@ -271,14 +272,14 @@ def _draw_limit(axes: Axes, limit: Limit) -> None:
     )  # fmt: skip
 
 
-def _draw(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
+def _plot(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
     for k, curve in enumerate(curves):
         colour = curve.colour or INK.cycle[k % len(INK.cycle)]
         if curve.low is not None and curve.high is not None:
             axes.fill_between(curve.x, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0.0)
         style = (0, (4, 2)) if curve.dashed else "-"
         weight = 1.2 if curve.dashed else 1.6
-        # Few points are shown as such: one alone would draw no line at all.
+        # Few points get markers: a single one has no line.
         marker = "o" if np.count_nonzero(np.isfinite(curve.y)) <= 8 else ""
         axes.plot(
             curve.x,

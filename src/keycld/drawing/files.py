@@ -1,4 +1,4 @@
-"""Write pictures and movies so that a reader sees the old file or the new one, never half of one."""
+"""Write pictures, figures and movies; each file is replaced as a whole."""
 
 import contextlib
 from pathlib import Path
@@ -16,7 +16,7 @@ from keycld.drawing.frames import as_uint8, enlarge
 
 
 def save_image(path: str | Path, frame: Shaped[np.ndarray, "H W 3"]) -> None:
-    """Write one frame, uint8 or float in [0, 1], in the format that the suffix names (.png)."""
+    """Write one frame, uint8 or float in [0, 1], in the format of the suffix (.png)."""
     with replacing(path) as temporary:
         imageio.v3.imwrite(temporary, as_uint8(frame))
 
@@ -25,13 +25,13 @@ def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: floa
     """Write a movie, each pixel enlarged to a block of `scale` × `scale`.
 
     Args:
-        path: `.mp4` gives H.264 in yuv420p, which every browser plays; `.gif` loops for ever.
+        path: `.mp4` gives H.264 in yuv420p, which browsers play; `.gif` loops forever.
         frames: uint8.
-        fps: frames a second. GIF counts in hundredths of a second; browsers slow down beyond 50.
+        fps: frames a second. A GIF stores hundredths of a second; browsers play above 50 too slowly.
         scale: enlargement, nearest neighbour. 4 suits 64 × 64.
 
     Raises:
-        KeycldError: the suffix is neither of the two, or there is no frame.
+        KeycldError: another suffix, no frame, or a path that cannot be written.
     """
     suffix = Path(path).suffix.lower()
     if suffix not in (".mp4", ".gif"):
@@ -53,7 +53,7 @@ def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: floa
                 writer.send(np.ascontiguousarray(_even(enlarge(frame, scale))))
 
 
-# One palette for the whole movie: a palette a frame flickers, a fixed one is dull.
+# One palette for the whole movie: one for each frame flickers, a standard one has too few of the right colours.
 _GIF: dict[str, Any] = {
     "codec": "gif",
     "pix_fmt_out": "pal8",
@@ -62,7 +62,7 @@ _GIF: dict[str, Any] = {
         "split[a][b];[a]palettegen=stats_mode=full[p];[b][p]paletteuse=dither=none",
     ],
 }
-# crf 18 is visually lossless; faststart lets a browser play before all is read.
+# crf 18 is visually lossless; faststart lets a browser play before the file is complete.
 _MP4: dict[str, Any] = {
     "codec": "libx264",
     "pix_fmt_out": "yuv420p",
@@ -77,6 +77,6 @@ def _even(frame: np.ndarray) -> np.ndarray:
 
 
 def save_figure(path: str | Path, figure: Figure, dpi: float = 160.0) -> None:
-    """Write a matplotlib figure in the format that the suffix names (.png, .svg, .pdf)."""
+    """Write a matplotlib figure in the format of the suffix (.png, .svg, .pdf)."""
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=dpi)

@@ -1,4 +1,4 @@
-"""Put frames beside one another. A stack is a uint8 array `[T, H, W, 3]`."""
+"""Arrange frames in rows and columns. A stack is a uint8 array `[T, H, W, 3]`."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,7 @@ GAP_COLOUR = (24, 26, 30)
 
 
 def as_uint8(frames: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
-    """Frames as uint8: floats in [0, 1] are scaled and rounded, NaN becomes black; uint8 stays as it is."""
+    """Convert frames to uint8: floats in [0, 1] are scaled and rounded, NaN becomes black; uint8 is unchanged."""
     if frames.dtype == np.uint8:
         return frames
     clean = np.nan_to_num(frames, nan=0.0, posinf=1.0, neginf=0.0)
@@ -21,7 +21,7 @@ def as_uint8(frames: Shaped[np.ndarray, "*any"]) -> UInt8[np.ndarray, "*any"]:
 
 
 def enlarge(frames: UInt8[np.ndarray, "*T H W 3"], scale: int) -> UInt8[np.ndarray, "*T H2 W2 3"]:
-    """Each pixel as a block of `scale` × `scale`."""
+    """Enlarge each pixel to a block of `scale` × `scale`."""
     return np.repeat(np.repeat(frames, scale, axis=-3), scale, axis=-2)
 
 
@@ -30,15 +30,15 @@ def side_by_side(
     labels: Sequence[str] | None = None,
     gap: int = 4,
 ) -> UInt8[np.ndarray, "T H W 3"]:
-    """Stacks of equal height from left to right; a shorter one waits at its last frame.
+    """Put stacks of equal height next to each other; a shorter one repeats its last frame.
 
     Args:
-        stacks: what to show, one array `[T, H, W, 3]` a panel.
-        labels: a word above each panel, or None.
+        stacks: one array `[T, H, W, 3]` for each panel, from left to right.
+        labels: a text above each panel, or None.
         gap: dark pixels between panels.
 
     Raises:
-        KeycldError: no stack, unequal heights, or not one label a stack.
+        KeycldError: no stack, unequal heights, or another number of labels.
     """
     if not stacks or len({stack.shape[1] for stack in stacks}) != 1:
         heights = [stack.shape[1] for stack in stacks]
@@ -59,7 +59,7 @@ def side_by_side(
 
 
 def sheet(rows: Sequence[UInt8[np.ndarray, "_ _ _ 3"]], every: int = 6, gap: int = 1) -> UInt8[np.ndarray, "H W 3"]:
-    """Every `every`-th frame from left to right, one stack a row: the layout of the paper's Fig. 4.
+    """Lay out every `every`-th frame from left to right, one stack a row (the KeyCLD paper's Fig. 4).
 
     Args:
         rows: stacks with equal shapes, for example ground truth above prediction.
@@ -87,7 +87,7 @@ def labelled_sheet(
     scale: int = 2,
     gap: int = 2,
 ) -> UInt8[np.ndarray, "H W 3"]:
-    """Every frame from left to right, one stack a row, with words: the layout of the paper's Figs. 13 to 15.
+    """Lay out every frame from left to right, one stack a row, with labels (the KeyCLD paper's Figs. 13 to 15).
 
     Args:
         rows: stacks of one shape, one frame a column.
@@ -97,21 +97,22 @@ def labelled_sheet(
         gap: dark pixels between frames.
 
     Raises:
-        KeycldError: rows of unequal shapes, or not one label a row and one head a column.
+        KeycldError: rows of unequal shapes, or not one label for each row and one head for each column.
     """
     large = [enlarge(row, scale) for row in rows]
     picture = sheet(large, every=1, gap=gap)
     count, height, width, _ = large[0].shape
     if (len(labels), len(heads)) != (len(rows), count):
         raise KeycldError(
-            f"a sheet of {len(rows)} rows and {count} columns needs as many words; got {len(labels)} and {len(heads)}."
+            f"a sheet of {len(rows)} rows and {count} columns needs as many labels and heads; got {len(labels)} and "
+            f"{len(heads)}."
         )
-    # Widths in pixels at the strip's type size; the longest label decides.
-    side = max(40, 8 * max(len(label) for label in labels) + 8)
+    # Pixels at the font size of `text_strip`; the longest label decides.
+    side = max(40, 8 * max(len(label) for label in labels) + 16)
     column = [text_strip(label, side, height) for label in labels]
-    words = [text_strip(head, width) for head in heads]
+    row = [text_strip(head, width) for head in heads]
     left = _stacked(column, gap, axis=0)
-    top = _stacked(words, gap, axis=1)
+    top = _stacked(row, gap, axis=1)
     corner = _blank((top.shape[0], side, 3))
     return np.concatenate([np.concatenate([corner, left]), np.concatenate([top, picture])], axis=1)
 
@@ -125,7 +126,7 @@ def _stacked(parts: Sequence[np.ndarray], gap: int, axis: int) -> np.ndarray:
 
 
 def text_strip(text: str, width: int, height: int = 22) -> UInt8[np.ndarray, "height width 3"]:
-    """A dark strip with one centred word."""
+    """Make a dark strip with a centred text."""
     figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0)
     figure.patch.set_facecolor("#{:02x}{:02x}{:02x}".format(*GAP_COLOUR))
     figure.text(0.5, 0.5, text, ha="center", va="center", color="white", fontsize=min(9.0, 0.3 * height + 2.0))

@@ -1,4 +1,4 @@
-"""Keypoints, heat maps and a time line on top of frames."""
+"""Add keypoints, heat maps and a time line to frames."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
@@ -8,7 +8,7 @@ from keycld.drawing.palette import KEYPOINT_COLOURS
 
 
 def to_pixels(points: Float[np.ndarray, "*any 2"], height: int, width: int) -> Float[np.ndarray, "*any 2"]:
-    """Image-plane units (x right, y up) to fractional (column, row).
+    """Convert image-plane units (x right, y up) to fractional (column, row).
 
     The origin is the image centre and ±1 are the centres of the outermost pixels of the shorter side:
     column = (width − 1)/2 + x (s − 1)/2 and row = (height − 1)/2 − y (s − 1)/2 with s = min(height, width).
@@ -26,14 +26,14 @@ def overlay_keypoints(
     trail: int = 0,
     radius: float = 0.05,
 ) -> UInt8[np.ndarray, "T H2 W2 3"]:
-    """The frames, enlarged, with a ringed disc at each keypoint.
+    """Enlarge the frames and put a ringed disc at each keypoint.
 
     Args:
         frames: uint8 `[T, H, W, 3]`.
-        keypoints: `[T, K, 2]` in image-plane units. A keypoint that is not finite is not drawn.
-        scale: enlargement; the discs are drawn smoothly at the larger size.
+        keypoints: `[T, K, 2]` in image-plane units. A keypoint that is not finite is left out.
+        scale: enlargement; the discs have smooth edges at the larger size.
         trail: how many earlier positions to show, fading.
-        radius: of the discs, as a fraction of the shorter side's half.
+        radius: of the discs, in image-plane units.
     """
     _, height, width, _ = frames.shape
     canvas = enlarge(frames, scale).copy()
@@ -72,7 +72,7 @@ def overlay_heat_maps(
     heat_maps: Shaped[np.ndarray, "T K rows columns"],
     scale: int = 4,
 ) -> UInt8[np.ndarray, "T H2 W2 3"]:
-    """The frames, dimmed and enlarged, with each keypoint's heat map as a glow in the keypoint's colour.
+    """Dim and enlarge the frames, with each keypoint's heat map as a glow in the keypoint's colour.
 
     Args:
         frames: uint8 `[T, H, W, 3]`.

@@ -1,8 +1,8 @@
-"""The colours that every picture shares, so that a colour means the same thing everywhere."""
+"""The colours of all pictures and figures: a colour means the same everywhere."""
 
 from dataclasses import dataclass
 
-# Vivid and far apart in hue, so that they stand out from any scene and from one another.
+# Vivid and far apart in hue, so that they stand out from any scene and can be told apart.
 KEYPOINT_COLOURS = (
     (255, 45, 139),
     (0, 200, 255),
@@ -15,9 +15,9 @@ KEYPOINT_COLOURS = (
 
 @dataclass(frozen=True)
 class Ink:
-    """Colours of curves and their frame, as hexadecimal strings.
+    """Colours of figures, as hexadecimal strings.
 
-    Each colour occurs once, so a page may replace it by one of its own (a dark theme, for example).
+    Each colour occurs once, so a page can replace it (in a dark theme, for example).
     """
 
     paper: str = "#ffffff"

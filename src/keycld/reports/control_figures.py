@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
+from keycld.benchmarks import control_strip
 from keycld.drawing import (
     INK,
     Curve,
     enlarge,
-    labelled_sheet,
     overlay_keypoints,
     overlay_timeline,
     panels_figure,
@@ -20,7 +20,6 @@ from keycld.drawing import (
 )
 from keycld.evaluation import Evaluation
 
-_PICTURES = 9
 _FRAMES_PER_SECOND = 25.0
 
 
@@ -29,7 +28,7 @@ def write_control_media(folder: Path, name: str, result: Evaluation) -> tuple[Pa
     media = folder / "media"
     paths = (media / f"{name}.mp4", media / f"{name}-strip.png", media / f"{name}.png")
     save_movie(paths[0], trial_frames(result), _FRAMES_PER_SECOND, scale=1)
-    save_image(paths[1], trial_strip(result))
+    save_image(paths[1], control_strip(result))
     save_figure(paths[2], trials_figure(result))
     return paths
 
@@ -46,15 +45,6 @@ def trial_frames(result: Evaluation, scale: int = 4) -> np.ndarray:
     pictures = overlay_keypoints(frames[index], keypoints, scale, trail=6)
     goal = np.repeat(enlarge(result.arrays["goal_frame"][None], scale), len(index), axis=0)
     return overlay_timeline(side_by_side([pictures, goal]), result.arrays["good"][0][index], height=2 * scale)
-
-
-def trial_strip(result: Evaluation, scale: int = 2) -> np.ndarray:
-    """Return pictures from the first to the last frame, then the goal, with times (as in the paper's Fig. 5)."""
-    frames = result.arrays["frames"]
-    index = np.round(np.linspace(0, len(frames) - 1, _PICTURES)).astype(int)
-    row = np.concatenate([frames[index], result.arrays["goal_frame"][None]])
-    heads = [f"{k * result.scores['dt']:.2g} s" for k in index] + ["goal"]
-    return labelled_sheet([row], [""], heads, scale)
 
 
 def trials_figure(result: Evaluation) -> Figure:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from keycld.benchmarks import control_strip
 from keycld.evaluation import Evaluation
 from keycld.reports import control_figures, html
 from keycld.reports.run import Run
@@ -66,13 +67,13 @@ def _trial(run: Run, name: str, result: Evaluation) -> str:
     scores = result.scores
     movie, _, _ = control_figures.write_control_media(run.folder, name, result)
     frames = control_figures.trial_frames(result)
-    strip = control_figures.trial_strip(result)
+    strip = control_strip(result)
     settled = scores["settled_seconds"][0]
     caption = f"{html.text(_title(scores))}: the first trial, next to the goal. The bar is green while the goal is kept"
     caption += "." if settled is None else f", from {settled:.1f} s to the end."
     parts = [
         html.figure(html.movie(movie, frames[-1], None, "Camera picture with keypoints, and the goal"), caption),
-        html.figure(html.image(strip, "Pictures from the first to the last frame, and the goal"), "Compare Fig. 5."),
+        html.figure(html.image(strip, "Pictures until the goal is kept, and the goal"), "Compare Fig. 5."),
         html.figure(html.chart(control_figures.trials_figure(result), name), _curves_caption(scores)),
     ]
     return "".join(parts)

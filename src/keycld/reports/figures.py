@@ -1,7 +1,5 @@
 """The figures of a run, from stored arrays."""
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -11,11 +9,7 @@ from keycld.drawing import (
     Limit,
     curves_figure,
     histogram_figure,
-    map_figure,
-    overlay_keypoints,
     panels_figure,
-    sheet,
-    strip_figure,
 )
 from keycld.evaluation import METRICS, Evaluation, headline_vpt, threshold_text
 
@@ -99,64 +93,6 @@ def deviation_figure(result: Evaluation) -> Figure:
     deviation = np.maximum(result.arrays["deviation"].max(axis=0), 1e-9)
     curve = Curve(result.arrays["time"], deviation)
     return curves_figure([curve], "seconds", "|Φ(x) − constant|", logarithmic=True, size=(5.4, 2.5))
-
-
-def grid_pictures(sweeps: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """Every other picture of a two-dimensional grid, laid out like the map of V: the first row is the lowest."""
-    rows, columns = sweeps[f"{name}/shape"]
-    image = sweeps[f"{name}/image"].reshape(rows, columns, *sweeps[f"{name}/image"].shape[1:])
-    return sheet(list(image[::2, ::2][::-1]), every=1)
-
-
-def sweep_figures(sweeps: Mapping[str, np.ndarray]) -> list[tuple[str, str, Figure]]:
-    """V along each path with pictures above it, and over each two-dimensional grid: name, what varies,
-    figure.
-
-    All paths share one vertical span, so that a coordinate on which V hardly depends shows as a flat line.
-    """
-    kinds = list(zip(sweeps["names"], sweeps["vary"], sweeps["units"], strict=True))
-    paths = [kind for kind in kinds if "," not in kind[1] and kind[0] != "grid"]
-    span = max((float(np.ptp(sweeps[f"{name}/potential"])) for name, _, _ in paths), default=1.0)
-    found = []
-    for name, vary, units in kinds:
-        potential = sweeps[f"{name}/potential"]
-        values, labels = _in_degrees(sweeps[f"{name}/values"], vary.split(","), units.split(","))
-        if "," in vary:
-            rows, columns = sweeps[f"{name}/shape"]
-            table = (potential - potential.min()).reshape(rows, columns)
-            axes = values.reshape(rows, columns, 2)
-            down, right = (90.0 if label.endswith("degrees") else None for label in labels)
-            figure = map_figure(
-                table, axes[0, :, 1], axes[:, 0, 0], labels[1], labels[0], "potential energy V", spacings=(right, down)
-            )
-        elif name == "grid":
-            continue  # the same path again, with fewer points
-        else:
-            figure = _path_figure(sweeps, name, values[:, 0], labels[0], span)
-        found.append((str(name), str(vary), figure))
-    return found
-
-
-def _path_figure(sweeps: Mapping[str, np.ndarray], name: str, values: np.ndarray, label: str, span: float) -> Figure:
-    picked = np.round(np.linspace(0, len(values) - 1, 9)).astype(int)
-    keypoints = sweeps[f"{name}/keypoints"][picked]
-    pictures = overlay_keypoints(sweeps[f"{name}/image"][picked], keypoints, scale=3)
-    potential = sweeps[f"{name}/potential"]
-    middle = 0.5 * (potential.max() + potential.min())
-    curve = Curve(values, potential - middle)
-    limits = (-0.58 * span, 0.58 * span)
-    spacing = 45.0 if label.endswith("degrees") else None
-    return strip_figure(
-        [curve], pictures, label, "potential energy V", y_limits=limits if span > 0 else None, x_spacing=spacing
-    )
-
-
-def _in_degrees(values: np.ndarray, names: Sequence[str], units: Sequence[str]) -> tuple[np.ndarray, list[str]]:
-    turning = np.array([unit == "rad" for unit in units])
-    shown = ["degrees" if unit == "rad" else unit for unit in units]
-    return np.where(turning, np.degrees(values), values), [
-        f"{name}, {unit}" for name, unit in zip(names, shown, strict=True)
-    ]
 
 
 def _finite(errors: np.ndarray) -> np.ndarray:

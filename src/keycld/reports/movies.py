@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from keycld import benchmarks
 from keycld.drawing import (
     enlarge,
-    labelled_sheet,
     overlay_heat_maps,
     overlay_keypoints,
     overlay_timeline,
@@ -95,22 +95,13 @@ def trajectory_sheet(folder: Path, result: Evaluation, n: int, every: int = 6) -
 
 
 def observation_sheet(folder: Path, result: Evaluation, count: int = 4) -> str:
-    """What becomes of a given frame: picture, heat maps, keypoints, and the picture drawn from them (Fig. 1).
+    """Show how a given frame becomes keypoints and a picture again (Fig. 1), one recording a row.
 
-    One recording a row. Writes media/keypoints.png.
+    Writes media/keypoints.png.
     """
-    arrays, scale = result.arrays, 3
-    frame = min(1, len(arrays["shown_index"]) - 1)
-    truth = arrays["truth"][:count, frame]
-    columns = {"given frame": enlarge(truth, scale)}
-    if "heat_maps" in arrays:
-        columns["heat maps"] = overlay_heat_maps(truth, arrays["heat_maps"][:count, frame], scale)
-    seen = arrays["observed_keypoints"][:count, frame].astype(np.float64)
-    columns["keypoints"] = overlay_keypoints(truth, seen, scale)
-    columns["drawn from them"] = enlarge(arrays["prediction"][:count, frame], scale)
-    rows = list(np.stack(list(columns.values()), axis=1))
-    picture = labelled_sheet(rows, [str(n + 1) for n in range(len(rows))], list(columns), scale=1)
+    count = min(count, len(result.arrays["truth"]))
+    picture = benchmarks.observation_sheet([(str(n + 1), result, n) for n in range(count)])
     path = folder / "media" / "keypoints.png"
     save_image(path, picture)
     width = f'style="max-width:{picture.shape[1]}px"'
-    return f'<img {width} src="{html.data_uri(path)}" alt="Frames, heat maps, keypoints and what is drawn from them">'
+    return f'<img {width} src="{html.data_uri(path)}" alt="Frames, heat maps, keypoints and the rendered pictures">'

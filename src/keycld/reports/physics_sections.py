@@ -1,5 +1,6 @@
 """The parts of the page on what was learned: keypoints, energies, constraints, masses."""
 
+from keycld.benchmarks import grid_pictures, potential_figures
 from keycld.drawing import save_figure, save_image
 from keycld.reports import figures, html, movies
 from keycld.reports.run import Run
@@ -75,12 +76,12 @@ def potential(run: Run) -> str:
     if run.sweeps is None:
         return html.missing("potential", "Learned potential energy", "no sweeps are stored, or the model has no energy")
     charts, wide = [], []
-    for name, vary, figure in figures.sweep_figures(run.sweeps):
+    for name, vary, figure in potential_figures(run.sweeps):
         save_figure(run.folder / "media" / f"potential-{name}.png", figure)
-        varied = " and ".join(html.text(each) for each in vary.split(","))
+        varied = " and ".join(map(html.text, vary))
         drawn = html.chart(figure, f"potential-{name}")
-        if "," in vary:
-            grid = figures.grid_pictures(run.sweeps, name)
+        if len(vary) == 2:
+            grid = grid_pictures(run.sweeps, name)
             save_image(run.folder / "media" / f"potential-{name}-pictures.png", grid)
             pictures = html.image(grid, f"Pictures of the grid of {varied}")
             wide.append(html.figure(drawn, f"V over every combination of {varied}."))

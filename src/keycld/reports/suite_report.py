@@ -31,9 +31,9 @@ _HORIZON_NOTE = (
 
 
 def write_suite_report(experiments: Sequence[Experiment], place: Place, folder: str | Path) -> Path:
-    """Write `report.html` into a folder, and figures, sheets and movies into its `media/`; returns the page's path.
+    """Write `report.html` into a folder, and figures, sheets and movies into its `media/`; return the page's path.
 
-    Tables and curves come from the recorded results alone, sheets and movies from the run folders that are there.
+    Tables and errors over time need the recorded results alone; all else is of the run folders that are there.
 
     Args:
         experiments: of one suite.
@@ -52,6 +52,7 @@ def write_suite_report(experiments: Sequence[Experiment], place: Place, folder: 
         + _errors(experiments, place)
         + _sheets(drawn)
         + _movies(drawn)
+        + _learned(drawn)
         + _scores(found[1:])
         + _experiments(experiments, place)
     )
@@ -74,6 +75,7 @@ def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], 
         "errors": "error over time",
         "sheets": "frames",
         "movies": "movies",
+        "learned": "what was learned",
         "scores": "all scores",
         "experiments": "experiments",
     }
@@ -130,6 +132,19 @@ def _movies(drawn: Illustrations) -> str:
         moving.append(html.figure(html.movie(each.movie, movie_of(each.gallery)[-1], fallback, label), _caption(each)))
     note = "A bar turns red when the prediction above it stops being valid."
     return html.section("movies", "Side by side", html.paragraph(note) + "".join(moving))
+
+
+def _learned(drawn: Illustrations) -> str:
+    note = (
+        "Learned keypoints and energies of KeyCLD, one trained model for each data set. V is known up to a constant "
+        "and a factor. Compare Figs. 1, 5 and 8 to 12 of the paper."
+    )
+    pictures = []
+    for each in drawn.paper.made:
+        title = html.text(each.title)
+        pictures.append(html.figure(f'<img src="{html.data_uri(each.path)}" alt="{title}">', f"{title}."))
+    left_out = [html.paragraph(html.text(sentence), "note") for sentence in drawn.paper.left_out]
+    return html.section("learned", "What KeyCLD learned", "".join([html.paragraph(note), *pictures, *left_out]))
 
 
 def _caption(drawn: Illustration) -> str:
