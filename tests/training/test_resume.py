@@ -189,7 +189,7 @@ def test_a_truncated_checkpoint_is_named(tmp_path):
 
 def test_arrays_of_every_kind_come_back_as_they_were(tmp_path):
     tree = {
-        "scalar": np.float32(2.5),
+        "scalar": np.array(2.5, "f4"),
         "empty": np.zeros((0, 3), "f4"),
         "bits": np.array([True, False]),
         "n": np.array(7, "i4"),

@@ -93,9 +93,11 @@ def with_settings(words: Sequence[str]) -> Callable[..., None]:
         train(*arguments, **options)
 
     kind = Annotated[type(default), tyro.conf.arg(name="")]
-    verb.__doc__ = train.__doc__
-    verb.__annotations__ = train.__annotations__ | {"settings": kind}
-    parameters = dict(inspect.signature(train).parameters)
+    # Run-time type checks wrap functions; tyro reads the innermost one.
+    plain, verb = inspect.unwrap(train), inspect.unwrap(verb)
+    verb.__doc__ = plain.__doc__
+    verb.__annotations__ = plain.__annotations__ | {"settings": kind}
+    parameters = dict(inspect.signature(plain).parameters)
     parameters["settings"] = parameters["settings"].replace(default=default, annotation=kind)
     verb.__signature__ = inspect.Signature(list(parameters.values()))  # pyright: ignore[reportFunctionMemberAccess]
     return verb

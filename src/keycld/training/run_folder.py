@@ -78,7 +78,7 @@ def open_run(folder: Path, config: RunConfig) -> None:
         if different:
             name = different[0]
             was, now = old.get(name), new[name]
-            if isinstance(was, dict) and isinstance(now, dict):
+            while isinstance(was, dict) and isinstance(now, dict):
                 inner = next(key for key in {**was, **now} if was.get(key) != now.get(key))
                 name, was, now = f"{name}.{inner}", was.get(inner), now.get(inner)
             raise KeycldError(
