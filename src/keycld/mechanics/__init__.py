@@ -9,6 +9,10 @@ from keycld.mechanics.constraints import as_constraint as as_constraint
 from keycld.mechanics.constraints_toml import dump_constraints as dump_constraints
 from keycld.mechanics.constraints_toml import load_constraints as load_constraints
 from keycld.mechanics.constraints_toml import parse_constraints as parse_constraints
+from keycld.mechanics.dense import Linear as Linear
+from keycld.mechanics.dense import SwishEnergy as SwishEnergy
+from keycld.mechanics.dense import SwishMLP as SwishMLP
+from keycld.mechanics.dense import truncated_normal as truncated_normal
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
 from keycld.mechanics.fitting import Fitted as Fitted
@@ -74,6 +78,7 @@ __all__ = [
     "Hamiltonian",
     "Leapfrog",
     "LegendreLaw",
+    "Linear",
     "MLPFactor",
     "MLPInputMatrix",
     "MLPPotential",
@@ -91,6 +96,8 @@ __all__ = [
     "SecondOrderNetwork",
     "Shake",
     "State",
+    "SwishEnergy",
+    "SwishMLP",
     "adaptive_rollout",
     "as_constraint",
     "dump_constraints",
@@ -103,5 +110,6 @@ __all__ = [
     "rigid_body",
     "solve_positive",
     "to_hamiltonian",
+    "truncated_normal",
     "two_point_masses",
 ]
