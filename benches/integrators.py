@@ -1,6 +1,6 @@
-"""Steps a second of a batch of roll-outs with its gradient: RATTLE with 4 sub-steps against one step of RK4.
+"""Frames a second of a batch of roll-outs with its gradient: RATTLE with 4 sub-steps compared with one step of RK4.
 
-Both in one run, in turn, so that the machine's speed cancels in the ratio. Prints JSON.
+Both take turns in one run, so that the machine's speed cancels in the ratio. Prints JSON.
 """
 
 import json
@@ -32,7 +32,7 @@ BATCH, FRAMES, ROUNDS = 16, 48, 15
 @eqx.filter_jit
 @eqx.filter_value_and_grad
 def fit(dynamics, x, v, u, target):
-    """The squared error of a batch of roll-outs."""
+    """Return the squared error of a batch of roll-outs."""
 
     def one(x, v, u, target):
         state = State(Motion(x, v), {"constants": dynamics.law.constraint(x)})
@@ -42,7 +42,7 @@ def fit(dynamics, x, v, u, target):
 
 
 def main():
-    """Times both in turn and prints medians."""
+    """Time both in turn and print medians."""
     keys = jax.random.split(jax.random.key(0), 4)
     law = ConstrainedLagrangian(
         PointMasses.ones(2),

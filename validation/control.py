@@ -1,10 +1,10 @@
-"""Control from pixels, measured: energy shaping, its rivals, too few or too weak inputs, bad pictures, imagination.
+"""Control from pixels, measured: energy shaping, other laws, too few or too weak inputs, bad pictures, imagination.
 
 python validation/control.py NAME RUN [--only EXPERIMENT ...]     results/control/NAME.json
 
 RUN is a run folder or a trained model of the package. An experiment that is already in the file, of the same weights
-and with the same settings, is skipped: kill it at any moment and give the same command again. Times are of a machine
-that does nothing else, or mean little: the load is stored beside them.
+and with the same settings, is skipped: kill it at any moment and give the same command again. Times mean little on a
+machine that does other work: the load is stored with them.
 """
 
 import argparse
@@ -24,10 +24,9 @@ import numpy as np
 
 from keycld._files import aside_of
 from keycld.benchmarks.results import read_json, write_json
-from keycld.cli.control import summary_of, threshold_of
-from keycld.control import Assignment, Disturbance, Imagination, Plant, goal_of, swing_up
+from keycld.cli.control import summary_of
+from keycld.control import ControlConfig, Disturbance, Imagination, Plant, goal_of, law_named, swing_up, upright_picture
 from keycld.control.outcome import HOLD
-from keycld.control.swing_up import upright_picture
 from keycld.systems import get
 from keycld.training import Counted, environment, load_run, run_folder
 
@@ -40,40 +39,48 @@ UNDER = {
 ROLL_OUTS, STEPS, REPEATS = (1, 100, 10_000), 100, 5
 
 
-def assignments(system, seed):
-    """What is flown, by experiment."""
-    full = Assignment(starts=100, seconds=10.0, kp=5.0, kd=2.0, seed=seed)
-    few = dataclasses.replace(full, starts=25)
-    under = Assignment(law="mpc", starts=50, seconds=20.0, seed=seed, **UNDER[system])
+def configs(system, seed):
+    """Return the closed-loop runs by experiment."""
+    full = ControlConfig(law=law_named("shaping", {"kp": 5.0, "kd": 2.0}), trials=100, seconds=10.0, seed=seed)
+    few = dataclasses.replace(full, trials=25)
+    under = ControlConfig(law=law_named("mpc"), trials=50, seconds=20.0, seed=seed, **UNDER[system])
     return {
         "full": full,
         "clipped3": dataclasses.replace(full, limit=3.0),
-        "paper": dataclasses.replace(full, law="paper"),
-        "differences": dataclasses.replace(full, observer="differences"),
+        "paper": dataclasses.replace(full, law=law_named("paper", {"kp": 5.0, "kd": 2.0})),
+        "differences": dataclasses.replace(full, estimator="differences"),
         "under": under,
-        "under-zero": dataclasses.replace(under, law="zero"),
-        "under-random": dataclasses.replace(under, law="random"),
+        "under-zero": dataclasses.replace(under, law=law_named("zero")),
+        "under-random": dataclasses.replace(under, law=law_named("random")),
         "noise": dataclasses.replace(few, disturbance=Disturbance(noise=0.1)),
         "dropped": dataclasses.replace(few, disturbance=Disturbance(dropped=0.2)),
     }
 
 
-EXPERIMENTS = (*assignments("pendulum", 0), "imagination")
+EXPERIMENTS = (*configs("pendulum", 0), "imagination")
 
 
-def flown(model, system, epsilon, assignment, workers):
-    """The scores of one experiment, with what belongs to single starts condensed."""
-    shown = Counted("control")
-    result = swing_up(model, system, epsilon, None, assignment, progress=shown, workers=workers)
+def closed_loop_scores(model, system, config, settings, workers):
+    """Return the scores of one experiment, with the values of single trials condensed."""
+    result = swing_up(
+        model,
+        system,
+        config.epsilon,
+        None,
+        settings,
+        input_names=config.input_names,
+        progress=Counted("control"),
+        workers=workers,
+    )
     print(summary_of(result.scores), flush=True)
-    scores = {name: value for name, value in result.scores.items() if name not in dataclasses.asdict(assignment)}
+    scores = {name: value for name, value in result.scores.items() if name not in settings.as_dict()}
     success, settled = scores.pop("success"), scores.pop("settled_seconds")
     tilts = scores.pop("worst_tilt_last_second_degrees")
     kept = [seconds for seconds, good in zip(settled, success, strict=True) if good]
     return {
         "successes": scores.pop("successes"),
         "held_a_second": held_a_second(result),
-        "failed_starts": np.flatnonzero(~success),
+        "failed_trials": np.flatnonzero(~success),
         "settled_seconds": {"median": np.median(kept), "last": np.max(kept)} if kept else None,
         "worst_tilt_last_second_degrees": {"median": np.median(tilts), "largest": np.max(tilts)},
         **scores,
@@ -81,9 +88,9 @@ def flown(model, system, epsilon, assignment, workers):
 
 
 def held_a_second(result):
-    """Starts that keep the goal for a second at any time, and when the first of those seconds begin.
+    """Return the trials that keep the goal for a second at any time, and when the first of those seconds begin.
 
-    `successes` asks for the last second of the flight instead.
+    `successes` asks for the last second of the run instead.
     """
     last = max(1, round(HOLD / result.scores["dt"]))
     whole = np.lib.stride_tricks.sliding_window_view(result.arrays["good"], last, axis=1).all(axis=-1)
@@ -92,13 +99,13 @@ def held_a_second(result):
     first = (whole.argmax(axis=1)[held] + 1) * result.scores["dt"]
     return {
         "successes": held.sum(),
-        "failed_starts": np.flatnonzero(~held),
+        "failed_trials": np.flatnonzero(~held),
         "from_seconds_median": np.median(first) if len(first) else None,
     }
 
 
 def imagination(model, system, epsilon, seed):
-    """Steps a second inside the model, in parallel roll-outs under random inputs, compilation apart."""
+    """Measure steps a second inside the model, in parallel roll-outs under random inputs, without compilation."""
     limit, inputs = 3.0, len(system.input_names)
     random = np.random.RandomState(seed)
     positions = np.stack([system.positions(random, slider_limit=1.0) for _ in range(100)])
@@ -108,14 +115,14 @@ def imagination(model, system, epsilon, seed):
     world = Imagination.of(model, system.dt, poses, goal_of(model, upright_picture(system), epsilon), limit)
 
     def roll_out(key):
-        begin, push = jax.random.split(key)
-        us = jax.random.uniform(push, (STEPS, inputs), minval=-limit, maxval=limit)
+        reset, inputs_key = jax.random.split(key)
+        us = jax.random.uniform(inputs_key, (STEPS, inputs), minval=-limit, maxval=limit)
 
         def step(state, u):
             after = world.step(state, u)
             return after.state, after.reward
 
-        return jax.lax.scan(step, world.reset(begin), us)[1]
+        return jax.lax.scan(step, world.reset(reset), us)[1]
 
     many, found = eqx.filter_jit(jax.vmap(roll_out)), {}
     for count in ROLL_OUTS:
@@ -123,9 +130,9 @@ def imagination(model, system, epsilon, seed):
         rewards = jax.block_until_ready(many(keys))
         seconds = []
         for _ in range(REPEATS):
-            began = time.perf_counter()
+            before = time.perf_counter()
             jax.block_until_ready(many(keys))
-            seconds.append(time.perf_counter() - began)
+            seconds.append(time.perf_counter() - before)
         found[str(count)] = {
             "steps_per_second_best": count * STEPS / min(seconds),
             "steps_per_second_median": count * STEPS / np.median(seconds),
@@ -136,14 +143,14 @@ def imagination(model, system, epsilon, seed):
 
 
 def weights_hash(model):
-    """Of the weights that control uses, so that results of two models are never mixed."""
+    """Hash the weights that control uses, so that results of two models are never mixed."""
     used = eqx.tree_at(lambda m: m.beginning, model, None, is_leaf=lambda x: x is None)
     leaves = jax.tree.leaves(eqx.filter(used, eqx.is_array))
     return hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in leaves)).hexdigest()[:16]
 
 
 def plain(value):
-    """As JSON holds it, with four digits."""
+    """Return a value as JSON holds it, with four digits."""
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -161,42 +168,42 @@ def main():
     parser.add_argument("run", help="run folder, or a trained model of the package")
     parser.add_argument("--only", nargs="+", default=EXPERIMENTS, choices=EXPERIMENTS, metavar="EXPERIMENT")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--starts", type=int, help="of each flight, to try it out")
-    parser.add_argument("--workers", type=int, help="processes that simulate and draw; one a core unless told")
+    parser.add_argument("--trials", type=int, help="of each experiment, for a quick try")
+    parser.add_argument("--workers", type=int, help="processes that simulate and render; by default one a core")
     parser.add_argument("--out", type=Path, default=Path("results/control"))
     options = parser.parse_args()
 
     model, config = load_run(run_folder(options.run))
-    system, epsilon = get(config.system), threshold_of(model, config)
+    system = get(config.system)
     path, weights = options.out / f"{options.name}.json", weights_hash(model)
     kept = read_json(path) or {}
     if kept.get("weights") not in (None, weights):
         aside = path.rename(aside_of(path, kept["weights"]))
-        print(f"{path} was of other weights: moved to {aside}, begun anew", file=sys.stderr)
+        print(f"{path} was of other weights: moved to {aside}; all experiments run again", file=sys.stderr)
         kept = {}
     experiments = kept.get("experiments", {})
-    planned = assignments(config.system, options.seed)
-    if options.starts is not None:
-        planned = {name: dataclasses.replace(each, starts=options.starts) for name, each in planned.items()}
+    planned = configs(config.system, options.seed)
+    if options.trials is not None:
+        planned = {name: dataclasses.replace(each, trials=options.trials) for name, each in planned.items()}
 
     for name in [each for each in EXPERIMENTS if each in options.only]:
-        settings = dataclasses.asdict(planned[name]) if name in planned else {"seed": options.seed}
+        settings = planned[name].as_dict() if name in planned else {"seed": options.seed}
         settings = json.loads(json.dumps(settings))
         if experiments.get(name, {}).get("settings") == settings:
             print(f"{name}: done before", flush=True)
             continue
         print(f"{name}:", flush=True)
-        began = time.monotonic()
+        before = time.monotonic()
         if name in planned:
-            scores = flown(model, system, epsilon, planned[name], options.workers)
+            scores = closed_loop_scores(model, system, config, planned[name], options.workers)
         else:
-            scores = imagination(model, system, epsilon, options.seed)
+            scores = imagination(model, system, config.epsilon, options.seed)
         machine = environment()
         experiments[name] = {
             "settings": settings,
             "scores": plain(scores),
             "commit": machine["commit"],
-            "seconds": round(time.monotonic() - began, 1),
+            "seconds": round(time.monotonic() - before, 1),
             "load": round(os.getloadavg()[0], 2),
             "cores_allowed": len(os.sched_getaffinity(0)),
         }

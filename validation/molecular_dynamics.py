@@ -20,7 +20,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld.systems import get
-from keycld.systems.suite import molecular
+from keycld.systems.molecular import simulation as molecular
 
 TENTH = molecular.Lengths(1e3, 1e3, 2.5e3)
 WINDOWS, FRAMES, TOGETHER = 100, 4, 8

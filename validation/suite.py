@@ -9,7 +9,7 @@ import json
 import time
 from pathlib import Path
 
-from keycld.data.baselines import trivial_scores
+from keycld.data.describe.normalised_error import trivial_scores
 from keycld.drawing import enlarge, save_image, sheet
 from keycld.systems import (
     AbstractInitialValueSystem,
@@ -63,7 +63,7 @@ def measure(name):
         system.pictures(Recording(each.time[::EVERY], each.state[:, ::EVERY], each.parameters)).image
         for each in (train, test)
     ]
-    scores = trivial_scores(*shown)["mean_image"]
+    scores = trivial_scores(*([image] for image in shown))["mean_image"]
     anchor, original = ANCHORS[name]
     mine = states / COUNT + pictures / 100
     return {

@@ -12,7 +12,7 @@ import pytest
 from keycld.benchmarks import suite_named
 from keycld.cli.main import main
 from keycld.data import Trajectories, make_data, write
-from keycld.data.protocols import splits
+from keycld.data.generate.protocols import splits
 from scenes import DT, disc_pendulum, draw
 
 # arXiv v1's recipe, one epoch, with the released code's optimiser.
@@ -41,7 +41,8 @@ def finished_data(folder):
     recipe = {}
     with pytest.MonkeyPatch.context() as patch:
         # What `make_data` looks for in a folder that it would leave as it is.
-        patch.setattr("keycld.data.make._finished", lambda folder, wanted, names: recipe.update(wanted) or True)
+        place = "keycld.data.generate.make._finished"
+        patch.setattr(place, lambda folder, wanted, names: recipe.update(wanted) or True)
         make_data("pendulum", folder)
     found = {split.name: {"sha256": split.name} for split in plan}
     (folder / "statistics.json").write_text(json.dumps({"splits": found, "recipe": recipe}))

@@ -1,4 +1,4 @@
-"""Energy shaping: what it must not depend on, and that it swings up three systems whose physics it knows."""
+"""Energy shaping: what it must not depend on, and that it swings up three systems with their true physics."""
 
 import equinox as eqx
 import jax
@@ -11,13 +11,13 @@ from keycld import KeycldError
 from keycld.control import (
     Belief,
     EnergyShaping,
-    PaperLaw,
+    PaperShaping,
     PredictCorrect,
-    actuators_of,
     advance,
     check_limit,
     upright,
 )
+from keycld.control.requirements import positions_of
 from keycld.mechanics import ConstrainedLagrangian, PointMasses
 
 NAMES = ("pendulum", "cartpole", "acrobot")
@@ -124,7 +124,7 @@ def test_what_training_leaves_open_changes_no_input(name):
 
 
 def test_the_papers_law_depends_on_it_all():
-    expected, found = inputs_of_variants("acrobot", PaperLaw)
+    expected, found = inputs_of_variants("acrobot", PaperShaping)
     for change, u in found.items():
         assert np.abs(np.asarray(u - expected)).max() > 0.1, change
 
@@ -182,28 +182,28 @@ def test_energy_falls_along_the_loop(name):
         energies = controller.energies(*state.coordinates, u)
         return known.dynamics.step(state, u, known.system.dt), energies.kinetic + energies.desired
 
-    start = known.motion(a_state(known, 2))
-    total = np.asarray(jax.jit(lambda s: jax.lax.scan(step, s, length=300)[1])(start))
+    initial = known.motion(a_state(known, 2))
+    total = np.asarray(jax.jit(lambda s: jax.lax.scan(step, s, length=300)[1])(initial))
     assert np.all(np.diff(total) <= 2e-3 * total[0]) and total[-1] < 0.05 * total[0]
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_true_physics_and_states_swing_up_in_mujoco(name):
     """And T + V_d of MuJoCo's own motion falls in every frame, from the first to the last."""
-    state, total = flown_in_mujoco(name, seconds=10)
+    state, total = in_mujoco(name, seconds=10)
     assert np.all(upright(truth(name).system, state[-round(1 / truth(name).system.dt) :]))
     assert np.all(np.diff(total, axis=0) <= 1e-5 * total[0]) and np.all(total[-1] < 1e-3 * total[0])
 
 
-def test_energy_falls_too_where_velocities_are_observed():
-    """Sightings are exact here: neither the unknown first velocity nor what is added for lacking forces lifts it."""
+def test_energy_falls_too_where_velocities_are_estimated():
+    """Observations are exact: neither the unknown first velocity nor the correction of lacking forces raises it."""
     known = truth("acrobot")
-    _, total = flown_in_mujoco("acrobot", 4, PredictCorrect(known.law, known.dynamics, known.system.dt))
+    _, total = in_mujoco("acrobot", 4, PredictCorrect(known.law, known.dynamics, known.system.dt))
     assert np.all(np.diff(total, axis=0) <= 1e-4 * total[0]) and np.all(total[-1] < 0.2 * total[0])
 
 
-def flown_in_mujoco(name, seconds, observer=None):
-    """States [T, 3, d] after each frame of three flights, and the true T + V_d [T, 3] before it."""
+def in_mujoco(name, seconds, estimator=None):
+    """States [T, 3, d] after each frame of three trials, and the true T + V_d [T, 3] before it."""
     known = truth(name)
     system = known.system
     random = np.random.RandomState(0)
@@ -216,12 +216,12 @@ def flown_in_mujoco(name, seconds, observer=None):
     def step(before, state, u):
         now = belief(known, state)
         x, v = now.state.coordinates
-        if observer is not None:
-            now = observer.update(before, x, jnp.asarray(True), u)
+        if estimator is not None:
+            now = estimator.update(before, x, jnp.asarray(True), u)
         energies = controller.energies(x, v, u)
         return now, controller.act(now, None)[0], energies.kinetic + energies.desired
 
-    nothing = belief(known, state[0]) if observer is None else observer.begin()
+    nothing = belief(known, state[0]) if estimator is None else estimator.initial_belief()
     now = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (3, *jnp.shape(leaf))), nothing)
     u = jnp.zeros((3, len(system.input_names)))
     states, totals = [], []
@@ -240,9 +240,9 @@ def test_inputs_that_do_not_act_stay_zero():
 
 
 def test_bad_names_and_numbers():
-    assert actuators_of(("a", "b"), ("b",)) == (1,) and actuators_of(("a", "b"), None) == (0, 1)
+    assert positions_of(("a", "b"), ("b",)) == (1,) and positions_of(("a", "b"), None) == (0, 1)
     with pytest.raises(KeycldError, match="no input 'c': choose from a, b"):
-        actuators_of(("a", "b"), ("c",))
+        positions_of(("a", "b"), ("c",))
     with pytest.raises(KeycldError, match="positive number"):
         check_limit(0.0)
     assert check_limit(None) == np.inf

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pendulum_model import PendulumModel
 from true_physics import truth
-from watching import Watcher
 
 from keycld import KeycldError
 from keycld.control import Imagination, register_environments
@@ -51,8 +51,8 @@ def test_every_system_can_be_stepped(make, name):
     assert env.spec.max_episode_steps * system.dt == pytest.approx(10.0)
 
 
-def test_seeds_starts_limits_and_actuators(make):
-    env = make("Acrobot", limit=2.0, actuators=("elbow_torque",), start="random")
+def test_seeds_initial_states_limits_and_actuators(make):
+    env = make("Acrobot", limit=2.0, actuators=("elbow_torque",), initial_state="random")
     first, other, again = (env.reset(seed=seed)[1]["state"] for seed in (1, 2, 1))
     assert not np.array_equal(first, other) and np.array_equal(first, again)
     given = [np.pi, 0.1, 0.0, 0.5]
@@ -87,8 +87,8 @@ def test_upright_is_the_best_reward(make):
 def test_wrong_options():
     from keycld.control.environments import SwingUp
 
-    with pytest.raises(KeycldError, match="starts at rest or random"):
-        SwingUp("pendulum", start="top")
+    with pytest.raises(KeycldError, match="is rest or random"):
+        SwingUp("pendulum", initial_state="top")
     with pytest.raises(KeycldError, match="no input 'wheel'"):
         SwingUp("pendulum", actuators=("wheel",))
     with pytest.raises(KeycldError, match="call reset"):
@@ -111,5 +111,5 @@ def test_imagination_steps_the_dynamics_and_vmaps():
     assert np.all(np.asarray(after.reward) < 0) and not np.any(after.truncated)
     still = world.reset(jax.random.key(1))
     assert world.step(still, u[0], 1).truncated
-    with pytest.raises(KeycldError, match="starts from seen poses"):
-        Imagination.of(Watcher.pendulum(), dt, poses[:0], known.upright)
+    with pytest.raises(KeycldError, match="observed initial poses"):
+        Imagination.of(PendulumModel.make(), dt, poses[:0], known.upright)

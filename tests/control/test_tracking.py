@@ -12,17 +12,17 @@ from keycld.control import Belief, PlanAndTrack, Weights, advance, stationary_ga
 from keycld.control.lqr import frame_step
 
 
-def flown(known, controller, state, seconds, limit):
-    """In MuJoCo from true states: states after each frame, inputs, the controller's memory at the end."""
-    begin = jax.jit(lambda state: Belief(known.motion(state), 0 * known.upright, jnp.asarray(9)))
+def in_mujoco(known, controller, state, seconds, limit):
+    """With true states: states after each frame, inputs, the controller's memory at the end."""
+    believe = jax.jit(lambda state: Belief(known.motion(state), 0 * known.upright, jnp.asarray(9)))
     act = eqx.filter_jit(controller.act)
-    state, memory, states, inputs = np.array([state]), controller.begin(), [], []
+    state, memory, states, inputs = np.array([state]), controller.initial_memory(), [], []
     for _ in range(round(seconds / known.system.dt)):
-        belief = begin(jnp.asarray(state[0], float))
+        belief = believe(jnp.asarray(state[0], float))
         u, memory = act(belief, memory)
         u = np.clip(np.asarray(u), -limit, limit)
         one = jax.tree.map(lambda leaf: leaf[None], (belief, memory))
-        memory = jax.tree.map(lambda leaf: leaf[0], controller.attend(*one, u[None]))
+        memory = jax.tree.map(lambda leaf: leaf[0], controller.replan(*one, u[None]))
         state = advance(known.system, state, u[None])
         states.append(state[0])
         inputs.append(u)
@@ -30,10 +30,10 @@ def flown(known, controller, state, seconds, limit):
 
 
 def test_a_motor_too_weak_to_lift_swings_the_pendulum_up():
-    """|u| ≤ 1 is 2 N m, gravity needs 4.9: the plan must swing. Started hanging."""
+    """|u| ≤ 1 is 2 N m, gravity needs 4.9: the plan must swing. It hangs at first."""
     known = truth("pendulum")
     controller = PlanAndTrack.towards(known.law, known.upright, (0,), 1.0, known.system.dt, seconds=3.0)
-    states, _, memory = flown(known, controller, [np.pi - 0.1, 0.0], 6, 1.0)
+    states, _, memory = in_mujoco(known, controller, [np.pi - 0.1, 0.0], 6, 1.0)
     assert upright(known.system, states[-50:]).all()
     np.testing.assert_allclose(memory.plan.z[-1], jnp.concatenate([known.upright, 0 * known.upright]), atol=0.1)
     assert np.abs(memory.plan.u).max() <= 0.95 + 1e-6
@@ -43,16 +43,16 @@ def test_the_elbow_alone_swings_the_acrobot_up():
     """One motor, two links, ±6 N m against 20 N m of gravity; upright it can lean by 7° and be caught."""
     known = truth("acrobot")
     controller = PlanAndTrack.towards(known.law, known.upright, (1,), 3.0, known.system.dt)
-    states, inputs, _ = flown(known, controller, [np.pi - 0.2, 0.3, 0.0, 0.0], 6, 3.0)
+    states, inputs, _ = in_mujoco(known, controller, [np.pi - 0.2, 0.3, 0.0, 0.0], 6, 3.0)
     assert upright(known.system, states[-100:]).all()
     assert not inputs[:, 0].any()
 
 
 def test_a_plan_is_refined_from_where_the_system_is():
-    """A push on the way: the refined plan begins where the pushed pendulum will be and still ends at the goal."""
+    """A push on the way: the refined plan contains the pushed state and still ends at the goal."""
     known = truth("pendulum")
     controller = PlanAndTrack.towards(known.law, known.upright, (0,), 1.0, known.system.dt, seconds=3.0)
-    _, _, memory = flown(known, controller, [np.pi - 0.1, 0.0], 0.24, 1.0)
+    _, _, memory = in_mujoco(known, controller, [np.pi - 0.1, 0.0], 0.24, 1.0)
     assert memory.clock < controller.refresh
     old = memory.plan.z[memory.age]
     pushed = jnp.concatenate(known.motion(jnp.asarray([np.pi - 0.1, 0.3])).coordinates)

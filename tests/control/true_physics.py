@@ -22,7 +22,7 @@ from keycld.mechanics import (
     two_point_masses,
 )
 from keycld.systems import get
-from keycld.systems.mujoco_system import load_model
+from keycld.systems.mujoco.loading import load_model
 
 GRAVITY = 9.81
 
@@ -99,7 +99,7 @@ def _direction(angle):
 def truth(name):
     """The true physics of a system."""
     system = get(name)
-    model = load_model(name)
+    model = load_model(get(name).model_file)
     scale = float(np.linalg.norm(system.to_image_plane(np.array([1.0, system.camera_height]))))
     if name == "pendulum":
         pole = _body(model, "pole")

@@ -1,5 +1,6 @@
-"""Files spoiled on purpose: the problem, its place and the mend are named."""
+"""Files spoiled on purpose: the message names the problem, its place and how to fix it."""
 
+import dataclasses
 import json
 
 import h5py
@@ -46,9 +47,16 @@ def attribute(name, value):
     return spoil
 
 
+def both(*spoils):
+    def spoil(file):
+        for each in spoils:
+            each(file)
+
+    return spoil
+
+
 SPOILED = {
     "no image": (remove("image"), "field '/image' is missing: add it"),
-    "no input": (remove("input"), "field '/input' is missing"),
     "no time": (remove("time"), "field '/time' is missing"),
     "float image": (replace("image", lambda a: a / 255.0), "'/image' is float64, but must be uint8"),
     "grey image": (replace("image", lambda a: a[..., 0]), "'/image' has the shape (3, 5, 8, 8)"),
@@ -57,9 +65,13 @@ SPOILED = {
     "text input": (replace("input", lambda a: a.astype("S4")), "must hold real numbers"),
     "complex state": (replace("state", lambda a: a + 1j), "'/state' is complex128"),
     "flat input": (replace("input", lambda a: a[:, 0]), "'/input' has the shape (3,)"),
-    "no input column": (replace("input", lambda a: a[:, :0]), "l of at least 1"),
+    "input names": (attribute("input_names", ["a"]), "'input_names' has 1 entries, but '/input' has 2"),
     "input frames": (replace("input", lambda a: np.zeros((3, 4, 2), np.float32)), "'/input' has the shape (3, 4, 2)"),
     "time per run": (replace("time", lambda a: np.tile(a, (3, 1))), "'/time' has the shape (3, 5)"),
+    "no input, image short": (
+        both(remove("input"), replace("image", lambda a: a[:2])),
+        "'/state' has the shape (3, 5, 4), but must be [2, 5, d]",
+    ),
     "state short": (replace("state", lambda a: a[:, :3]), "'/state' has the shape (3, 3, 4)"),
     "derivative": (replace("state_derivative", lambda a: a[..., :2]), "a '/state' of the same shape"),
     "parameter": (replace("parameters/seed", lambda a: a[:2]), "'/parameters/seed' has the shape (2,)"),
@@ -95,11 +107,36 @@ def test_what_is_wrong_and_where(tmp_path, case):
     assert str(caught.value) == problems[0]
 
 
+@pytest.mark.parametrize("spoil", [remove("input"), replace("input", lambda a: a[:, :0])])
+def test_undriven_files_need_no_input(tmp_path, spoil):
+    write(tmp_path / "train.h5", sample())
+    write(tmp_path / "test.h5", sample())
+    for name in ("train", "test"):
+        with h5py.File(tmp_path / f"{name}.h5", "r+") as file:
+            spoil(file)
+    assert check(tmp_path) == []
+    assert read(tmp_path / "train.h5").input.shape == (3, 0)
+
+
+def test_a_file_without_recordings(tmp_path):
+    write(tmp_path / "a.h5", sample())
+    with h5py.File(tmp_path / "a.h5", "r+") as file:
+        replace("input", lambda a: a[:0])(file)
+    assert "holds no recording" in check(tmp_path / "a.h5")[0]
+
+
+def test_driven_and_undriven_files_do_not_mix(tmp_path):
+    write(tmp_path / "train.h5", sample())
+    write(tmp_path / "test.h5", dataclasses.replace(sample(), input=np.zeros((3, 0), np.float32)))
+    (differs,) = check(tmp_path)
+    assert "train.h5 differs from test.h5 in 'inputs': 2, not 0" in differs
+
+
 def test_several_problems_are_all_listed(tmp_path):
     path = tmp_path / "a.h5"
     write(path, sample())
     with h5py.File(path, "r+") as file:
-        del file["input"], file.attrs["dt"]
+        del file["time"], file.attrs["dt"]
     assert len(check(path)) == 2
     with pytest.raises(KeycldError, match="and 1 more"):
         read(path)

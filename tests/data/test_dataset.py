@@ -39,9 +39,10 @@ def test_splits_and_attributes(folder):
 
 def test_a_known_system_brings_its_keypoints(folder):
     assert open_data(folder).keypoints == ("tip",)
+    assert open_data(folder).constraints.count == 1
 
 
-def test_a_file_beside_the_data_brings_others(folder):
+def test_a_file_in_the_folder_brings_others(folder):
     (folder / "constraints.toml").write_text(CONSTRAINTS)
     assert open_data(folder).keypoints == ("left", "right")
 
@@ -54,14 +55,13 @@ def test_a_given_file_wins(folder, tmp_path_factory):
         open_data(folder, constraints=folder / "missing.toml")
 
 
-def test_foreign_data_need_constraints_only_when_asked(tmp_path):
+def test_foreign_data_need_constraints_only_for_models_that_do(tmp_path):
     foreign = sample()
     foreign = dataclasses.replace(foreign, attributes={**foreign.attributes, "system": "my swing"})
     write(tmp_path / "train.h5", foreign)
     data = open_data(tmp_path)
     assert len(data.train()) == 3
-    with pytest.raises(KeycldError, match="no keypoints are known for 'my swing': put a constraints.toml"):
-        _ = data.constraints
+    assert data.constraints is None and data.keypoints == ()
     (tmp_path / "constraints.toml").write_text(CONSTRAINTS)
     assert open_data(tmp_path).keypoints == ("left", "right")
 
@@ -71,11 +71,11 @@ def test_a_file_written_with_h5py_alone(tmp_path):
     with h5py.File(tmp_path / "train.h5", "w") as file:
         file["image"] = np.zeros((2, 3, 8, 8, 3), np.uint8)
         file["time"] = np.array([0.0, 0.1, 0.2])
-        file["input"] = np.zeros((2, 1))
         file.attrs.update(schema_version=1, system="swing", dt=0.1)
     assert check(tmp_path) == []
     train = open_data(tmp_path).train()
-    assert train.input.dtype == np.float32 and train.state is None
+    assert train.input.shape == (2, 0) and train.input.dtype == np.float32 and train.state is None
+    assert open_data(tmp_path).input_names == ()
 
 
 def test_a_systems_name_means_its_folder_under_data(folder, tmp_path_factory, monkeypatch):
@@ -101,6 +101,27 @@ def test_what_is_not_data(folder, tmp_path_factory):
     (folder / ".partial").mkdir()
     with pytest.raises(KeycldError, match="unfinished"):
         open_data(folder)
+
+
+def test_inputs_have_names(folder):
+    assert open_data(folder).input_names == ("input 1", "input 2")
+    named = sample()
+    named = dataclasses.replace(named, attributes={**named.attributes, "input_names": ("force", "torque")})
+    write(folder / "train.h5", named)
+    assert open_data(folder).input_names == ("force", "torque")
+
+
+@pytest.mark.parametrize("images", [True, False])
+def test_blocks_are_the_split_in_pieces(folder, images):
+    data = open_data(folder)
+    found = list(data.blocks("test", 2, images=images))
+    assert [len(block) for block in found] == [2, 2, 1]
+    whole = data.split("test", images=images)
+    for name in ("input", "state", "image") if images else ("input", "state"):
+        joined = np.concatenate([getattr(block, name) for block in found])
+        np.testing.assert_array_equal(joined, getattr(whole, name))
+    assert images or found[0].image is None
+    assert all(block.attributes == whole.attributes for block in found)
 
 
 def test_movies(folder, tmp_path):

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, import_video, importing, open_data, read
+from keycld.data import check, import_video, open_data, read
+from keycld.data.imports import video as importing
 from keycld.drawing import save_movie
 
 
@@ -35,7 +36,8 @@ def test_a_video_becomes_three_splits(video, tmp_path):
     train = data.train()
     assert train.image.shape == (4, 20, 32, 32, 3)
     assert (len(data.validation()), len(data.test())) == (1, 1)
-    assert train.state is None and not np.any(train.input)
+    assert train.state is None and train.input.shape == (4, 0)
+    assert train.attributes["input_names"] == () and data.input_names == ()
     for k in (0, 7, 13):
         # The middle square of 64 pixels starts at column 16; two video pixels make one.
         wanted = (48 + 20 * np.sin(2 * np.pi * k / 40) - 16) / 2 - 0.25
@@ -85,13 +87,13 @@ def test_constraints_come_along(video, tmp_path):
         ({"validation": 0.6, "test": 0.5}, "leave some for training"),
     ],
 )
-def test_bad_wishes(video, tmp_path, changes, words):
+def test_bad_arguments(video, tmp_path, changes, words):
     with pytest.raises(KeycldError, match=words):
         import_video(video, tmp_path / "a", **{"frames": 20, **changes})
     assert not (tmp_path / "a").exists()
 
 
-def test_a_killed_import_is_unfinished_and_taken_up(video, tmp_path, monkeypatch):
+def test_a_killed_import_is_unfinished_and_resumed(video, tmp_path, monkeypatch):
     def dies(folder, made):
         raise KeyboardInterrupt
 
@@ -110,7 +112,7 @@ def test_bad_files(video, tmp_path):
     (tmp_path / "text.mp4").write_text("not a video")
     with pytest.raises(KeycldError, match="cannot be read as a video"):
         import_video(tmp_path / "text.mp4", tmp_path / "a")
-    with pytest.raises(KeycldError, match="'pendulum' would be taken for our own system"):
+    with pytest.raises(KeycldError, match="'pendulum' is the name of a system"):
         import_video(video, tmp_path / "pendulum", size=16, frames=20)
     with pytest.raises(KeycldError, match="at least one video"):
         import_video([], tmp_path / "a")

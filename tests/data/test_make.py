@@ -13,9 +13,9 @@ from sample import assert_equal
 
 from keycld import KeycldError
 from keycld.data import check, make_data, open_data, read
-from keycld.data import make as make_module
-from keycld.data.parts import record
-from keycld.data.protocols import splits
+from keycld.data.generate import make as make_module
+from keycld.data.generate.parts import record
+from keycld.data.generate.protocols import splits
 from keycld.systems import get
 
 # Small, but of two parts: one of 500 frames and a rest.
@@ -122,6 +122,26 @@ def test_another_system_does_not_mix(made):
         make_data("acrobot", made[0].folder, runs=RUNS, frames=FRAMES)
 
 
+@pytest.mark.parametrize(("control", "acting"), [("none", ()), ("torque", ("torque",))])
+def test_only_inputs_that_act_are_stored(tmp_path, control, acting):
+    """The motion is that of the system with all its motors; in the long test all motors of the set are still."""
+    make_data("cartpole", tmp_path, control=control, **TINY)
+    assert check(tmp_path) == [] and open_data(tmp_path).input_names == acting
+    plan = {split.name: split for split in splits("keycld-2022", control=control, frames=TINY["frames"])}
+    system = get("cartpole")
+    for name in FILES:
+        found = read(tmp_path / f"{name}.h5", images=False)
+        assert found.attributes["input_names"] == acting and found.input.shape == (len(found), len(acting))
+        if name in ("test_long", "sweeps"):
+            assert not np.any(found.input)
+        if name == "sweeps":
+            continue
+        run, _ = record(system, plan[name], plan[name].seeds[0])
+        np.testing.assert_array_equal(found.state[0], run.state)
+        columns = [system.input_names.index(each) for each in acting]
+        np.testing.assert_array_equal(found.input[0], run.input[columns].astype(np.float32))
+
+
 def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
     folder = tmp_path / "pendulum"
     call = f"make_data('pendulum', {str(folder)!r}, runs={RUNS}, frames={FRAMES}, workers=1)"
@@ -144,7 +164,7 @@ def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
     assert not (folder / ".partial").exists()
 
 
-def test_a_kill_while_joining_is_taken_up_too(made, tmp_path, monkeypatch):
+def test_a_kill_while_joining_is_resumed_too(made, tmp_path, monkeypatch):
     folder = tmp_path / "pendulum"
     join = make_module.join
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data.parts import record
-from keycld.data.protocols import splits
+from keycld.data.generate.parts import record
+from keycld.data.generate.protocols import splits
 from keycld.systems import AbstractMujocoSystem, get, names
 
 

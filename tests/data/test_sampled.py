@@ -1,4 +1,4 @@
-"""Data sets of "Which priors matter?": splits, states that are drawn later, resumption, figures."""
+"""Data sets of "Which priors matter?": splits, states that are rendered later, resumption, figures."""
 
 import dataclasses
 import json
@@ -23,10 +23,10 @@ from keycld.data import (
     with_pictures,
     write,
 )
-from keycld.data import store as store_module
-from keycld.data.baselines import TABLE_UNITS, trivial_scores
-from keycld.data.sampled import sampled_job, sampled_splits
-from keycld.data.store import join
+from keycld.data.describe.normalised_error import TABLE_UNITS, trivial_scores
+from keycld.data.format import derived, writing
+from keycld.data.format.writing import join
+from keycld.data.generate.sampled import sampled_job, sampled_splits
 from keycld.systems import AbstractSampledSystem, Recording, get, names
 
 NAME = "toy/mass_spring_colors"
@@ -80,7 +80,7 @@ def test_small_training_sets_give_a_tenth_to_validation():
 def test_simulations_of_molecules_are_not_shared_between_files(size, tmp_path):
     """Neighbouring windows of one simulation know of each other."""
     system = get("md/lj_4")
-    from keycld.systems.catalogue.lennard_jones import WINDOWS
+    from keycld.systems.molecular.lennard_jones import WINDOWS
 
     splits = sampled_splits(system, size)
     simulations = [{number // WINDOWS[size] for number in range(*split.seeds)} for split in splits]
@@ -92,7 +92,7 @@ def test_simulations_of_molecules_are_not_shared_between_files(size, tmp_path):
 def test_a_set_of_states_is_whole_and_sound(folder):
     assert check(folder) == []
     train = read(folder / "train.h5")
-    assert train.image is None and train.state.shape == (18, 30, 2)
+    assert train.image is None and train.state.shape == (18, 30, 2) and train.input.shape == (18, 0)
     assert train.attributes["renderer"] == "soft discs" and train.attributes["renderer_version"] == 1
     assert train.attributes["protocol"] == "priors-released"
     recording = get(NAME).record(range(18), 30, "priors-released", "default")
@@ -105,7 +105,7 @@ def test_a_set_of_states_is_whole_and_sound(folder):
     }  # fmt: skip
 
 
-def test_opening_draws(folder):
+def test_opening_renders(folder):
     test = open_data(folder).test()
     assert test.image.shape == (4, 30, 32, 32, 3)
     drawn = get(NAME).pictures(Recording(test.time, test.state, dict(test.parameters))).image
@@ -116,7 +116,7 @@ def test_opening_draws(folder):
     assert open_data(folder).count("test") == 4 and open_data(folder).split("test", images=False).image is None
 
 
-def test_stored_pictures_are_the_drawn_ones(folder, tmp_path):
+def test_stored_pictures_are_the_rendered_ones(folder, tmp_path):
     make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1, store="images")
     stored = read(tmp_path / "a" / "test.h5")
     assert "renderer_version" not in stored.attributes
@@ -126,7 +126,7 @@ def test_stored_pictures_are_the_drawn_ones(folder, tmp_path):
 
 
 @pytest.mark.parametrize("sampler", [StartGroups(4, 2, (6,), 10), WholeTrajectories(30)])
-def test_clips_are_drawn_inside_the_step(folder, sampler):
+def test_clips_are_rendered_inside_the_step(folder, sampler):
     """The same clips, bit for bit, from states as from pictures, in a compiled step."""
     states = open_data(folder).split("train", images=False)
     later, now = open_data(folder).resident(), resident(with_pictures(states))
@@ -142,7 +142,7 @@ def test_clips_are_drawn_inside_the_step(folder, sampler):
 
 
 def test_states_reach_nothing_but_the_renderer(folder):
-    """What is on the device holds places of discs, and neither momenta nor the state."""
+    """The device holds positions of discs, and neither momenta nor the state."""
     states = open_data(folder).split("train", images=False)
     data = resident(states)
     assert data.image.seen.shape == (18, 30, 2)
@@ -153,7 +153,7 @@ def test_states_reach_nothing_but_the_renderer(folder):
         np.testing.assert_array_equal(one, other)
 
 
-def test_pictures_drawn_later_can_be_indexed(folder):
+def test_pictures_rendered_later_can_be_indexed(folder):
     states = open_data(folder).split("train", images=False)
     drawn, image = resident(states).image, with_pictures(states).image
     assert len(drawn) == 18
@@ -178,11 +178,12 @@ def test_an_unknown_or_newer_renderer(folder, tmp_path):
 
 
 def test_more_pictures_than_memory_holds_are_refused(folder, monkeypatch):
-    from keycld.data import drawn
-
-    monkeypatch.setattr(drawn, "_MOST_BYTES", 1e5)
+    monkeypatch.setattr(derived, "MOST_BYTES", 1e5)
+    data = open_data(folder)
     with pytest.raises(KeycldError, match=r"read fewer of them \(rows=slice"):
-        open_data(folder).test()
+        data.test()
+    assert data.split("test", rows=slice(0, 1)).image.shape == (1, 30, 32, 32, 3)
+    assert sum(len(block.image) for block in data.blocks("test", 1)) == 4
 
 
 def test_derivatives_are_computed_on_reading(folder):
@@ -194,7 +195,7 @@ def test_derivatives_are_computed_on_reading(folder):
         with_derivative(dataclasses.replace(test, attributes={**test.attributes, "system": "mine"}))
 
 
-def test_interrupted_work_is_taken_up(folder, tmp_path):
+def test_interrupted_work_is_resumed(folder, tmp_path):
     def stop(progress):
         raise KeyboardInterrupt
 
@@ -220,11 +221,11 @@ def test_large_files_are_put_together_on_the_disk(folder, tmp_path, monkeypatch)
             parameters={key: value[rows] for key, value in texts.items()},
         )
         write(tmp_path / f"{name}.h5", part)
-    monkeypatch.setattr(store_module, "_LARGE", 0)
+    monkeypatch.setattr(writing, "_LARGE", 0)
     join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
     assert_equal(read(tmp_path / "joined.h5"), with_images)
     assert check(tmp_path / "joined.h5") == []
-    monkeypatch.setattr(store_module.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 10})())
+    monkeypatch.setattr(writing.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 10})())
     with pytest.raises(KeycldError, match="free some space"):
         join([tmp_path / "0.h5"], tmp_path / "other.h5")
 
@@ -242,7 +243,14 @@ def test_bad_values_are_found_in_the_rows_that_are_read(folder, tmp_path):
 
 def test_the_card_and_its_figures(folder):
     card = (folder / "README.md").read_text()
-    for word in ("k/m", "18 × 30", "not stored but drawn", "units of tables 5 and 6", "| m | 0.2", "priors-released"):
+    for word in (
+        "k/m",
+        "18 × 30",
+        "not stored but rendered",
+        "units of tables 5 and 6",
+        "| m | 0.2",
+        "priors-released",
+    ):
         assert word in card, word
     figures = json.loads((folder / "statistics.json").read_text())
     train = read(folder / "train.h5")
@@ -254,7 +262,7 @@ def test_the_card_and_its_figures(folder):
 def test_errors_in_the_papers_units():
     random = np.random.RandomState(0)
     train, test = (random.randint(0, 256, (3, 4, 32, 32, 3)).astype(np.uint8) for _ in range(2))
-    scores = trivial_scores(train, test)["mean_image"]
+    scores = trivial_scores([train], [test[:1], test[1:]])["mean_image"]
     mean = train.reshape(-1, 32, 32, 3).mean(axis=0) / 255.0
     x = test.reshape(-1, 3072) / 255.0
     wanted = np.mean(np.sum((x - mean.reshape(1, -1)) ** 2, axis=1) / np.sum(x**2, axis=1))
@@ -262,7 +270,7 @@ def test_errors_in_the_papers_units():
     assert scores["table_units"] == pytest.approx(1e7 * wanted / 3072, rel=1e-5) and TABLE_UNITS > 3255
     assert scores["below_threshold"] == 0.0 and scores["vpt"] == 0.0
     still = np.broadcast_to(test[:, :1], test.shape)
-    assert trivial_scores(train, still)["first_frame"]["vpt"] == 1.0
+    assert trivial_scores([train], [still])["first_frame"]["vpt"] == 1.0
 
 
 @pytest.mark.parametrize(
@@ -276,7 +284,7 @@ def test_a_still_mean_picture_scores_what_it_does_in_the_suite(name, published):
         seen = Recording(recording.time[::16], recording.state[:, ::16], recording.parameters)
         return get(name).pictures(seen).image
 
-    assert trivial_scores(some(0), some(5000))["mean_image"]["table_units"] == pytest.approx(published, rel=0.03)
+    assert trivial_scores([some(0)], [some(5000)])["mean_image"]["table_units"] == pytest.approx(published, rel=0.03)
 
 
 def test_what_does_not_go_together(tmp_path):

@@ -11,7 +11,8 @@ from sample import assert_equal, sample
 
 from keycld import KeycldError
 from keycld.data import read, write
-from keycld.data.store import join
+from keycld.data.format import writing
+from keycld.data.format.writing import join
 
 
 @pytest.mark.parametrize("varying_input", [False, True])
@@ -45,15 +46,15 @@ def test_images_are_chunked_by_trajectory_and_compressed(tmp_path):
         assert file["image"].chunks == (1, 5, 8, 8, 3) and file["image"].compression == "gzip"
 
 
-def test_a_file_drawn_later_needs_a_renderer(tmp_path):
+def test_a_file_rendered_later_needs_a_renderer(tmp_path):
     without = dataclasses.replace(sample(), image=None)
     with pytest.raises(KeycldError, match="'/image' is missing"):
         write(tmp_path / "a.h5", without)
-    drawn_later = dataclasses.replace(
+    rendered_later = dataclasses.replace(
         without, attributes={**without.attributes, "renderer": "discs", "renderer_version": 1}
     )
-    write(tmp_path / "a.h5", drawn_later)
-    assert_equal(read(tmp_path / "a.h5"), drawn_later)
+    write(tmp_path / "a.h5", rendered_later)
+    assert_equal(read(tmp_path / "a.h5"), rendered_later)
 
 
 def test_joined_parts_are_the_whole(tmp_path):
@@ -71,6 +72,24 @@ def test_joined_parts_are_the_whole(tmp_path):
     join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
     assert_equal(read(tmp_path / "joined.h5"), whole)
     assert read(tmp_path / "joined.h5").attributes == read(tmp_path / "0.h5").attributes
+
+
+@pytest.mark.parametrize("large", [False, True])
+def test_joined_undriven_parts(tmp_path, monkeypatch, large):
+    undriven = dataclasses.replace(sample(4), input=np.zeros((4, 0), np.float32))
+    half = dataclasses.replace(
+        undriven,
+        **{name: getattr(undriven, name)[2:] for name in ("input", "image", "state", "state_derivative")},
+        parameters={name: value[2:] for name, value in undriven.parameters.items()},
+    )
+    write(tmp_path / "0.h5", undriven)
+    write(tmp_path / "1.h5", half)
+    if large:
+        monkeypatch.setattr(writing, "_LARGE", 0)
+    join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
+    joined = read(tmp_path / "joined.h5")
+    assert joined.input.shape == (6, 0)
+    np.testing.assert_array_equal(joined.image, np.concatenate([undriven.image, half.image]))
 
 
 def test_bad_contents_are_not_written(tmp_path):
@@ -94,7 +113,7 @@ def test_an_unwritable_folder_is_named(tmp_path):
 @pytest.mark.parametrize(
     "error", [OSError(errno.ENOSPC, "No space left on device"), OSError("No space left on device")]
 )
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, error):
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, error):
     def full(handle):
         raise error
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, import_suite, open_data
-from keycld.data.tfrecord import Feature, count_records, read_examples, read_features
+from keycld.data import check, import_suite, open_data, with_derivative
+from keycld.data.imports.tfrecord import Feature, count_records, read_examples, read_features
 
 GOLDEN = Path(__file__).parent / "golden" / "tfrecord"
 SUITE = Path(__file__).parent.parent / "systems" / "golden" / "suite"
@@ -50,11 +50,13 @@ def test_a_folder_becomes_a_data_set(name, tmp_path):
         import_suite(source, out)
 
 
-def test_derivatives_without_friction_are_left_out(tmp_path):
+def test_derivatives_are_ours(tmp_path):
+    """Those of the download lack the friction."""
     shutil.copytree(GOLDEN / "double_pendulum_colors", tmp_path / "double_pendulum_colors_friction_dt_0_05")
     out = import_suite(tmp_path / "double_pendulum_colors_friction_dt_0_05", tmp_path / "out")
     train = open_data(out).train()
     assert train.state_derivative is None and train.attributes["system"] == "toy/double_pendulum_colors_friction"
+    assert with_derivative(train).state_derivative.shape == train.state.shape and train.input.shape == (1, 0)
 
 
 def test_what_is_not_of_the_suite(tmp_path):
@@ -80,7 +82,7 @@ def test_truncated_files(cut, tmp_path):
 
 @pytest.mark.parametrize("position", range(12, 60, 3))
 def test_damaged_records_are_named_or_pass(position, tmp_path):
-    """Never another error than the one with the mend."""
+    """Never another error than the one that tells how to fix it."""
     whole = bytearray((GOLDEN / "matching_pennies" / "test.tfrecord").read_bytes())
     whole[position] ^= 0xFF
     (tmp_path / "a").write_bytes(bytes(whole))

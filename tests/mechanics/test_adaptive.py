@@ -8,7 +8,16 @@ import pytest
 from mechanics_examples import double_pendulum, law, on_circle, rollout, start
 
 from keycld import KeycldError
-from keycld.mechanics import MechanicalDynamics, Motion, Rattle, State, adaptive_rollout
+from keycld.mechanics import (
+    AdaptiveDynamics,
+    MechanicalDynamics,
+    Motion,
+    PhasePoint,
+    Rattle,
+    SeparableHamiltonian,
+    State,
+    adaptive_rollout,
+)
 
 adaptive = eqx.filter_jit(adaptive_rollout)
 
@@ -30,6 +39,36 @@ def test_follows_rattle_on_the_constraints_and_comes_back():
     np.testing.assert_allclose(constraint, np.ones((41, 2)), atol=1e-4)
     last = State(Motion(motion.x[-1], motion.v[-1]), state.parameters)
     np.testing.assert_allclose(adaptive(system, last, u, -dt, 40).x[-1], state.coordinates.x, atol=1e-3)
+
+
+def test_pulling_back_decides_which_constants_the_motion_keeps():
+    """v1 evaluates the field at the nearest x on Φ = constants; the 2024 version where x is."""
+    system = double_pendulum()
+    state = start(system, on_circle([1.0, 0.3]), jnp.ones(4))
+    # The constants of a trajectory whose observed lengths were 5 % larger.
+    shifted = State(state.coordinates, {"constants": 1.05**2 * state.parameters["constants"]})
+    v1, later = (
+        rollout(AdaptiveDynamics(system, pull_back=pull), shifted, jnp.zeros(0), 0.02, 40) for pull in (True, False)
+    )
+    free = adaptive(system, State(state.coordinates, {}), jnp.zeros(0), 0.02, 40)
+    np.testing.assert_array_equal(later.x, free.x)
+    longer = adaptive(system, start(system, on_circle([1.0, 0.3], [1.05, 1.05])), jnp.zeros(0), 0.02, 5)
+    v0 = State(Motion(on_circle([1.0, 0.3]), jnp.zeros(4)), {"constants": 1.05**2 * jnp.ones(2)})
+    motion = adaptive(system, v0, jnp.zeros(0), 0.02, 5)
+    # At rest both accelerate alike, that is as the longer pendulum does.
+    np.testing.assert_allclose(motion.v[1], longer.v[1], atol=2e-3)
+    assert float(jnp.abs(v1.x - later.x).max()) > 1e-3
+    still_held = jax.vmap(system.constraint)(later.x)
+    np.testing.assert_allclose(still_held, np.ones((41, 2)), atol=1e-4)
+
+
+def test_follows_a_hamiltonian():
+    """Any field of first order: H = (p² + q²)/2 turns phase space clockwise."""
+    system = SeparableHamiltonian(lambda p: jnp.sum(p**2) / 2, lambda q: jnp.sum(q**2) / 2)
+    path = adaptive(system, State(PhasePoint(jnp.ones(1), jnp.zeros(1)), {}), jnp.zeros(0), 0.1, 30)
+    t = 0.1 * np.arange(31)
+    np.testing.assert_allclose(path.q[:, 0], np.cos(t), atol=1e-4)
+    np.testing.assert_allclose(path.p[:, 0], -np.sin(t), atol=1e-4)
 
 
 def test_free_fall():

@@ -1,5 +1,6 @@
 """Constraints: their values, their composition, and what is said about mistakes."""
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 
 from keycld import KeycldError
 from keycld.mechanics import (
+    AbstractRelation,
     Constraints,
     DistanceToPoint,
     FixedDistance,
@@ -15,6 +17,7 @@ from keycld.mechanics import (
     dump_constraints,
     load_constraints,
 )
+from keycld.mechanics.relation import relation_kinds
 
 X = jnp.array([1.0, 2.0, 4.0, 6.0])
 
@@ -71,6 +74,36 @@ def test_function_that_reads_parameters():
         _ = constraint.count
 
 
+def test_distances_have_the_same_directions():
+    """Rows of DΦ differ in length only, so the motions are the same; v1's released code measures distances."""
+
+    def product(x, parameters):
+        return x[0] * x[3]
+
+    squares = Constraints(
+        ("cart", "tip"), (OnLine("cart"), FixedDistance("cart", "tip"), DistanceToPoint("tip", (1.0, 2.0)), product)
+    )
+    distances = squares.distances()
+    np.testing.assert_allclose(distances(X), [2.0, 5.0, 5.0, 6.0], rtol=1e-6)
+    one, other = jax.jacfwd(squares)(X), jax.jacfwd(distances)(X)
+    np.testing.assert_allclose(one, np.array([1.0, 10.0, 10.0, 1.0])[:, None] * other, rtol=1e-6)
+    assert distances.distances() == distances != squares
+    nested = Constraints(("cart", "tip"), (squares,)).distances()
+    np.testing.assert_array_equal(nested(X), distances(X))
+
+
+def test_derivatives_of_a_distance_exist_where_the_points_meet():
+    distance = Constraints(("a", "b"), (FixedDistance("a", "b"), OnLine("a"))).distances()
+    together = jnp.array([0.3, 0.4, 0.3, 0.4])
+    assert np.isfinite(jax.jacfwd(distance)(together)).all()
+    assert np.isfinite(jax.jacfwd(jax.jacrev(distance))(together)).all()
+
+
+def test_distances_are_not_written():
+    with pytest.raises(KeycldError, match="measured by distances cannot be written"):
+        dump_constraints(Constraints(("a",), (DistanceToPoint("a"),)).distances())
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -119,6 +152,88 @@ def test_functions_have_no_toml():
         dump_constraints(Constraints(("a",), (lambda x, _: x[0],)))
 
 
+MIDPOINT = '''
+"""A relation in a file of its own."""
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from keycld.mechanics import AbstractRelation, register_relation
+
+
+@register_relation
+class MidpointHeight(AbstractRelation):
+    """The middle of two keypoints stays at one height: a beam on a knife edge."""
+
+    kind = "midpoint_height"
+    required = ("between",)
+    optional = ("weight", "mirrored")
+
+    ends: tuple[str, str] = eqx.field(static=True)
+    weight: float = eqx.field(static=True, default=0.5)
+    mirrored: bool = eqx.field(static=True, default=False)
+
+    @property
+    def keypoints(self):
+        return self.ends
+
+    def __call__(self, points, parameters):
+        return (1 - self.weight) * points[0, 1] + self.weight * points[1, 1]
+
+    @classmethod
+    def read(cls, entries):
+        return cls(tuple(entries["between"]), entries.get("weight", 0.5), entries.get("mirrored", False))
+
+    def write(self):
+        return {"between": self.ends, "weight": self.weight, "mirrored": self.mirrored}
+'''
+
+
+def test_a_kind_of_constraint_is_one_file(tmp_path, monkeypatch):
+    """In Python, as TOML and back, next to the others and in any order of keypoints."""
+    (tmp_path / "knife_edge.py").write_text(MIDPOINT)
+    monkeypatch.syspath_prepend(tmp_path)
+    from knife_edge import MidpointHeight  # pyright: ignore[reportMissingImports]
+
+    constraints = Constraints(("cart", "tip"), (OnLine("cart"), MidpointHeight(("tip", "cart"), 0.25)))
+    np.testing.assert_allclose(constraints(X), [2.0, 0.75 * 6.0 + 0.25 * 2.0])
+    assert constraints.count == 2
+    path = tmp_path / "constraints.toml"
+    path.write_text(dump_constraints(constraints))
+    assert load_constraints(path) == constraints
+    path.write_text(HEAD + "[[constraint]]\nkind = 'midpoint_height'\nbetween = ['cart', 'tap']")
+    with pytest.raises(KeycldError, match="constraint 1: unknown keypoint 'tap': did you mean 'tip'"):
+        load_constraints(path)
+
+
+def test_every_file_of_the_folder_is_a_kind():
+    assert {"fixed_distance", "distance_to_point", "on_line"} <= set(relation_kinds())
+
+
+def test_a_relation_that_is_not_registered_has_no_toml():
+    class Height(AbstractRelation):
+        kind = "on_line"
+        required = ("keypoint",)
+        keypoint: str = eqx.field(static=True)
+
+        @property
+        def keypoints(self):
+            return (self.keypoint,)
+
+        def __call__(self, points, parameters):
+            return points[0, 1]
+
+        @classmethod
+        def read(cls, entries):
+            return cls(**entries)
+
+        def write(self):
+            return {"keypoint": self.keypoint}
+
+    with pytest.raises(KeycldError, match="a Height cannot be written as TOML"):
+        dump_constraints(Constraints(("a",), (Height("a"),)))
+
+
 HEAD = 'keypoints = ["cart", "tip"]\n'
 
 
@@ -143,7 +258,7 @@ HEAD = 'keypoints = ["cart", "tip"]\n'
         ),
     ],
 )
-def test_toml_mistakes_name_file_entry_and_mend(tmp_path, text, message):
+def test_toml_mistakes_name_file_entry_and_fix(tmp_path, text, message):
     path = tmp_path / "mine.toml"
     path.write_text(text)
     with pytest.raises(KeycldError, match=f"mine.toml.*{message}"):

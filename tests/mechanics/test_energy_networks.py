@@ -19,7 +19,7 @@ from keycld.mechanics import (
 X = jnp.array([0.3, -0.2, 0.5, 0.7])
 
 
-def test_layers_and_start_are_the_papers(getkey):
+def test_layers_and_first_weights_are_the_papers(getkey):
     potential = MLPPotential(4, key=getkey())
     assert [k.shape for k in potential.perceptron.kernels] == [(4, 32), (32, 32), (32, 1)]
     kernels = np.concatenate([np.ravel(k) for k in potential.perceptron.kernels])
@@ -29,9 +29,16 @@ def test_layers_and_start_are_the_papers(getkey):
     assert g.perceptron.kernels[-1].shape == (32, 8) and g(X).shape == (4, 2)
 
 
-def test_masses_are_positive_and_start_at_one():
+def test_masses_are_positive_and_one_by_default():
     np.testing.assert_array_equal(PointMasses.ones(3).matrix, np.eye(3))
     np.testing.assert_allclose(PointMasses(jnp.array([-2.0, 0.5])).matrix, np.diag([4.0, 0.25]))
+
+
+def test_v1_samples_roots_of_masses_near_zero(getkey):
+    roots = np.asarray(PointMasses.near_zero(2000, key=getkey()).root)
+    assert abs(roots.mean()) < 1e-3 and roots.std() == pytest.approx(0.01, rel=0.05)
+    with pytest.raises(KeycldError, match="at least one keypoint"):
+        PointMasses.near_zero(0, key=getkey())
 
 
 def test_a_coupled_mass_matrix_is_positive_and_undoes_its_inverse():

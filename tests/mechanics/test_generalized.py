@@ -14,6 +14,7 @@ from keycld.mechanics import (
     MLPFactor,
     MLPInputMatrix,
     MLPPotential,
+    PhasePoint,
     momentum,
     pulled_back,
     to_hamiltonian,
@@ -91,7 +92,7 @@ def test_hamilton_is_lagrange(learned):
     p = momentum(learned, Q, V)
     np.testing.assert_allclose(p, learned.mass_matrix(Q) @ V, rtol=1e-4)
     np.testing.assert_allclose(hamiltonian.energy(Q, p), learned.energy(Q, V), rtol=1e-4)
-    qdot, pdot = hamiltonian.derivative(Q, p, U)
+    qdot, pdot = hamiltonian.derivative(PhasePoint(Q, p), U)
     np.testing.assert_allclose(qdot, V, rtol=1e-3)
     a = learned.acceleration(Q, V, U)
     expected = jax.jvp(lambda q, v: momentum(learned, q, v), (Q, V), (V, a))[1]

@@ -2,13 +2,14 @@
 
 import numpy as np
 
-from keycld.systems.mujoco_system import import_mujoco, load_model
+from keycld.systems import get
+from keycld.systems.mujoco.loading import import_mujoco, load_model
 
 
 def masks(name: str, positions: np.ndarray, size: int) -> list[dict[str, np.ndarray]]:
     """For each of the positions, the pixels [size, size] of every named geom."""
     mujoco = import_mujoco()
-    model = load_model(name)
+    model = load_model(get(name).model_file)
     model.vis.global_.offwidth = model.vis.global_.offheight = size
     data = mujoco.MjData(model)
     found = []

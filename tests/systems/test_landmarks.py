@@ -17,7 +17,7 @@ def _pixels(mask):
     return OWN_UNITS * np.stack([axis[column], -axis[row]], axis=-1)
 
 
-def _drawn(name, count):
+def _rendered(name, count):
     system = get(name)
     random = np.random.RandomState(0)
     positions = np.stack([system.positions(random, 0.5) for _ in range(count)])
@@ -41,18 +41,18 @@ def _check_link(pixels, start, end, radius):
 
 
 def test_the_pendulums_bob():
-    for landmarks, found in zip(*_drawn("pendulum", 12), strict=True):
+    for landmarks, found in zip(*_rendered("pendulum", 12), strict=True):
         np.testing.assert_allclose(_pixels(found["mass"]).mean(axis=0), landmarks[0], atol=0.004)
 
 
 def test_the_cartpoles_cart_and_tip():
-    for (cart, tip), found in zip(*_drawn("cartpole", 12), strict=True):
+    for (cart, tip), found in zip(*_rendered("cartpole", 12), strict=True):
         assert _pixels(found["cart"]).mean(axis=0)[0] == pytest.approx(cart[0], abs=0.01)
         _check_link(_pixels(found["pole"]), cart, tip, _radius("cartpole", 0.09))
 
 
 def test_the_acrobots_elbow_and_tip():
-    for (elbow, tip), found in zip(*_drawn("acrobot", 12), strict=True):
+    for (elbow, tip), found in zip(*_rendered("acrobot", 12), strict=True):
         _check_link(_pixels(found["lower_arm"]), elbow, tip, _radius("acrobot", 0.099))
         arm = _pixels(found["upper_arm"])
         assert abs(np.mean(arm @ np.array([-elbow[1], elbow[0]])) / np.linalg.norm(elbow)) < 0.01

@@ -58,7 +58,7 @@ def test_steps_in_a_row_are_one_simulation(name):
 
 
 @pytest.mark.parametrize("name", names(AbstractMujocoSystem))
-def test_motors_clip_only_where_they_are_told_to(name):
+def test_motors_clip_only_where_they_should(name):
     system = get(name)
     start = np.full(len(system.state_names), 0.1)
     strong, limit = np.full(len(system.input_names), 5.0), np.full(len(system.input_names), system.input_range)
@@ -70,10 +70,10 @@ def test_motors_clip_only_where_they_are_told_to(name):
 
 
 @pytest.mark.parametrize("name", names(AbstractMujocoSystem))
-def test_half_of_the_upright_starts_are_close_to_upright(name):
+def test_half_of_the_upright_runs_begin_close_to_upright(name):
     system = get(name)
     starts, random = (np.array([_start(system, seed, start) for seed in range(400)]) for start in ("upright", "random"))
-    # Within three deviations: a fifth of random starts with one angle, a twenty-fifth with two.
+    # Within three deviations: a fifth of random initial states with one angle, a twenty-fifth with two.
     close, by_chance = (_is_close(system, each) for each in (starts, random))
     assert 0.44 < close.mean() - 0.5 * by_chance.mean() < 0.56
     assert len(np.unique(starts, axis=0)) == len(starts)

@@ -1,4 +1,4 @@
-"""Worker processes: what goes wrong in one is told, once, in the caller."""
+"""Worker processes: an error in one is reported once, in the caller."""
 
 import os
 import time
@@ -14,7 +14,7 @@ def double(x):
 
 
 def refuse():
-    raise KeycldError("mend this")
+    raise KeycldError("fix this")
 
 
 def break_down():
@@ -43,7 +43,7 @@ def test_results_come_with_their_index():
 
 
 def test_a_users_error_arrives_as_it_is():
-    with pytest.raises(KeycldError, match="^mend this$"):
+    with pytest.raises(KeycldError, match="^fix this$"):
         list(run_in_processes([Task(refuse, ())]))
 
 
@@ -58,7 +58,7 @@ def test_a_dead_worker_gets_one_more_try(tmp_path):
         list(run_in_processes([Task(die_always, ())]))
 
 
-def test_a_hanging_worker_is_given_up():
+def test_a_hanging_worker_is_ended():
     with pytest.raises(KeycldError, match="failed twice"):
         list(run_in_processes([Task(hang, ())], time_out=0.3))
 
@@ -87,7 +87,7 @@ def test_without_gl_one_sentence_names_the_packages(monkeypatch, variable, value
 
 
 def test_one_process_draws_one_system():
-    from keycld.systems.drawing import draw_in_worker
+    from keycld.systems.pictures import draw_in_worker
 
     system = get("pendulum")
     other = get("acrobot")
@@ -95,5 +95,5 @@ def test_one_process_draws_one_system():
 
     assert draw(system, np.zeros((1, 2))).image.shape == (1, 64, 64, 3)
     tasks = [Task(draw_in_worker, (each, np.zeros((1, len(each.state_names))))) for each in (system, other)]
-    with pytest.raises(RuntimeError, match="cannot draw"):
+    with pytest.raises(RuntimeError, match="cannot render"):
         list(run_in_processes(tasks, workers=1))

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from keycld.systems import AbstractInitialValueSystem, Recording, get, names, soft_discs, to_bytes
-from keycld.systems.suite.soft_discs import hue_colours
+from keycld.systems.discs import hue_colours
 
 GOLDEN = Path(__file__).parent / "golden" / "suite"
 NAMES = names(AbstractInitialValueSystem)
@@ -63,9 +63,9 @@ def test_pictures(name):
 def test_canvas(name):
     """The half width of ours, with the room for random places where there is any, is the suite's."""
     system, (found, _) = get(name), golden(name)
-    _, drawn = system.start(np.random.RandomState(0), "priors-released")
-    assert drawn["canvas"] == pytest.approx(found["canvas_limits"][1], rel=1e-12)
-    assert drawn["color_index"].shape == found["color_index"].shape[1:]
+    _, sampled = system.start(np.random.RandomState(0), "priors-released")
+    assert sampled["canvas"] == pytest.approx(found["canvas_limits"][1], rel=1e-12)
+    assert sampled["color_index"].shape == found["color_index"].shape[1:]
 
 
 @pytest.mark.parametrize("name", RENDERED)
@@ -75,10 +75,31 @@ def test_the_renderer_alone(name):
 
     def draw(kind):
         fixed = [jnp.asarray(case["radii"], kind), jnp.asarray(colours, kind), jnp.asarray(case["canvas_limits"], kind)]
-        drawn = jax.jit(jax.vmap(lambda centres: to_bytes(soft_discs(centres, *fixed))))
-        return np.asarray(drawn(jnp.asarray(case["positions"], kind)))
+        rendered = jax.jit(jax.vmap(lambda centres: to_bytes(soft_discs(centres, *fixed))))
+        return np.asarray(rendered(jnp.asarray(case["positions"], kind)))
 
     with jax.enable_x64(True):
         np.testing.assert_array_equal(draw(jnp.float64), case["image_uint8"])
     difference = np.abs(draw(jnp.float32).astype(int) - case["image_uint8"])
-    assert difference.max() <= 1 and np.mean(difference > 0) <= 1e-3
+    assert difference.max() <= 1 and np.mean(difference > 0) <= 1e-4
+
+
+@pytest.mark.parametrize("radius", [0.4, 0.8, 1.4])
+@pytest.mark.parametrize("hues", [2, 6])
+def test_saturated_interiors_of_overlapping_discs_have_the_same_bytes_in_single_precision(radius, hues):
+    """Where discs of full colour overlap, 1 − value is the product of what both let through: 254, not 255."""
+    random, canvas = np.random.RandomState(0), np.array([-2.0, 2.0])
+    centres, colours = random.uniform(-1.0, 1.0, (100, 2, 2)), hue_colours(hues)[[0, hues - 1]]
+
+    def draw(kind):
+        fixed = [jnp.asarray(value, kind) for value in (np.full(2, radius), colours, canvas)]
+        return np.asarray(jax.jit(jax.vmap(lambda c: to_bytes(soft_discs(c, *fixed))))(jnp.asarray(centres, kind)))
+
+    with jax.enable_x64(True):
+        exact = draw(jnp.float64)
+    single = draw(jnp.float32)
+    saturated = exact >= 254
+    assert np.mean(saturated) > 1e-3
+    np.testing.assert_array_equal(single[saturated], exact[saturated])
+    np.testing.assert_array_equal(single >= 254, saturated)
+    assert np.mean(single != exact) < 1e-4

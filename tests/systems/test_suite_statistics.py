@@ -1,4 +1,4 @@
-"""A thousand starts of each set follow the documented distributions (Kolmogorov–Smirnov, seeds fixed)."""
+"""A thousand initial states of each set follow the documented distributions (Kolmogorov–Smirnov, seeds fixed)."""
 
 from functools import lru_cache
 
@@ -7,12 +7,12 @@ import pytest
 from scipy.stats import chisquare, kstest
 
 from keycld.systems import AbstractInitialValueSystem, get, names
-from keycld.systems.catalogue.rooms import AbstractRoom
-from keycld.systems.suite.toy import AbstractToySystem
+from keycld.systems.hamiltonian.base import AbstractHamiltonianSystem
+from keycld.systems.rooms.base import AbstractRoom
 
 COUNT = 1000
 NAMES = names(AbstractInitialValueSystem)
-TOYS = names(AbstractToySystem)
+TOYS = names(AbstractHamiltonianSystem)
 VARIED = tuple(name for name in TOYS if "colors" in name)
 # Some 160 comparisons are made here.
 LEAST = 1e-3 / 160
@@ -32,8 +32,10 @@ RADII = {"mass_spring": (0.1, 1.0), "pendulum": (1.3, 2.3), "double_pendulum": (
 @lru_cache
 def starts(name, protocol="priors-released"):
     system = get(name)
-    drawn = [system.start(np.random.RandomState(seed), protocol) for seed in range(COUNT)]
-    return np.stack([state for state, _ in drawn]), {key: np.stack([p[key] for _, p in drawn]) for key in drawn[0][1]}
+    sampled = [system.start(np.random.RandomState(seed), protocol) for seed in range(COUNT)]
+    return np.stack([state for state, _ in sampled]), {
+        key: np.stack([p[key] for _, p in sampled]) for key in sampled[0][1]
+    }
 
 
 def kind(name):
@@ -48,7 +50,7 @@ def follows(sample, low, high):
 
 
 def annulus(name, state, parameters):
-    """Distance from the origin, and angle, of each (q, p) that was drawn from a ring."""
+    """Distance from the origin, and angle, of each (q, p) that was sampled from a ring."""
     n = state.shape[1] // 2
     scale = np.sqrt(parameters["k"] * parameters["m"]) if "mass_spring" in name else np.ones(len(state))
     q, p = state[:, :n], state[:, n:] / scale[:, None]
@@ -82,7 +84,7 @@ def test_starts_in_a_ring(name, protocol):
         assert follows(angle[:, column], -np.pi, np.pi)
 
 
-def test_a_ring_by_area_is_told_from_one_by_radius():
+def test_a_ring_by_area_differs_from_one_by_radius():
     radius, _ = annulus("toy/pendulum", *starts("toy/pendulum"))
     assert not follows(radius**2, 1.3**2, 2.3**2)
 
@@ -99,7 +101,7 @@ def test_two_bodies_start_on_one_line(name):
 
 @pytest.mark.parametrize("name", TOYS)
 def test_energies(name):
-    """Against an independent draw of the documented distributions."""
+    """Compared with an independent sample of the documented distributions."""
     state, parameters = starts(name)
     energy = get(name).all_conserved(state[:, None], parameters)[:, 0]
     random = np.random.RandomState(20211109)

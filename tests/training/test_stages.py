@@ -9,9 +9,8 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld.data import RandomFrames, Resident, StartGroups, WholeTrajectories
-from keycld.training import Stage, make_recipe
-from keycld.training.presets.prepare import tell_unseen
-from keycld.training.stages import forgetful, warmup_cosine
+from keycld.models.keycld.prepare import warn_unseen
+from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, warmup_cosine
 from keycld.training.step import begin, diagnose, make_step
 
 
@@ -61,11 +60,11 @@ def test_the_window_grows_with_the_steps(data):
 
 def test_cached_keypoints_take_the_place_of_pictures(data):
     tracks = jnp.arange(40.0).reshape(4, 10, 1) * jnp.ones(2)[None, None, :]
-    cached = eqx.tree_at(lambda d: d.keypoints, data, tracks, is_leaf=lambda x: x is None)
+    cached = eqx.tree_at(lambda d: d.cached, data, tracks, is_leaf=lambda x: x is None)
     clip = StartGroups(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
     assert clip.frames is None
-    start = clip.keypoints[:, :1, 0] - clip.index[:, :1]
-    np.testing.assert_array_equal(clip.keypoints[..., 0] - start, clip.index)
+    start = clip.cached[:, :1, 0] - clip.index[:, :1]
+    np.testing.assert_array_equal(clip.cached[..., 0] - start, clip.index)
 
 
 def test_an_epoch_visits_every_trajectory_once(data):
@@ -95,20 +94,59 @@ class Model(eqx.Module):
     still: jax.Array
 
 
-def squares(model, clips, *, key, step):
-    loss = jnp.sum((model.moving - 3.0) ** 2) + jnp.sum(model.still**2)
-    return loss, {"squares": loss}
+class Squares(AbstractLoss):
+    def __call__(self, model, clips, *, key, step):
+        loss = jnp.sum((model.moving - 3.0) ** 2) + jnp.sum(model.still**2)
+        return loss, {"squares": loss}
+
+
+MOVING = Group("moving", lambda m: m.moving, 0.1)
+STILL = Group("still", lambda m: m.still, 0.1)
 
 
 def stage(**changes):
-    settings = {
-        "name": "s",
-        "steps": 20,
-        "sampler": RandomFrames(2),
-        "loss": squares,
-        "rates": {"moving": 0.1},
-    }
+    settings = {"name": "s", "steps": 20, "sampler": RandomFrames(2), "loss": Squares(), "groups": (MOVING,)}
     return Stage(**(settings | changes))
+
+
+def test_a_group_that_matches_nothing_is_an_error():
+    model = Model(jnp.zeros(2), jnp.ones(3))
+    for where in (lambda m: m.no_such_field, lambda m: ()):
+        with pytest.raises(KeycldError, match="group 'lost' of stage 's' matches no parameter"):
+            stage(groups=(MOVING, Group("lost", where, 0.1))).trainable(model)
+
+
+def test_of_two_groups_the_later_one_counts_and_a_rate_of_zero_freezes():
+    everything = Group("all", lambda m: m, 0.1)
+    model = Model(jnp.zeros(2), jnp.ones(3))
+    assert stage(groups=(everything, Group("frozen", lambda m: m.still, 0.0))).labels(model) == ["all", None]
+    assert stage(groups=(MOVING, everything)).labels(model) == ["all", "all"]
+
+
+class Ascending(AbstractStatefulLoss):
+    """min over θ, max over λ of λ (θ₀² − 1): a multiplier that no gradient trains."""
+
+    def initial(self):
+        return {"multiplier": jnp.ones(())}
+
+    def __call__(self, model, clips, *, key, step, memory):
+        excess = model.moving[0] ** 2 - 1.0
+        loss = memory["multiplier"] * excess
+        return loss, {"excess": excess}, {"multiplier": memory["multiplier"] + 0.5 * jax.lax.stop_gradient(excess)}
+
+
+def test_a_losses_own_state_changes_with_the_steps_and_takes_no_gradient(data):
+    model = Model(jnp.array([3.0, 0.0]), jnp.ones(3))
+    geco = stage(loss=Ascending(), optimiser=optax.sgd)
+    progress, rest = begin(geco, model)
+    run = make_step(geco, 0, 0, model, 1)
+    theta, multiplier = 3.0, 1.0
+    for _ in range(4):
+        progress, terms = run((rest, data), progress)
+        assert float(terms["excess"][0]) == pytest.approx(theta**2 - 1, rel=1e-5)
+        theta, multiplier = theta - 0.1 * multiplier * 2 * theta, multiplier + 0.5 * (theta**2 - 1)
+        assert float(progress.memory["multiplier"]) == pytest.approx(multiplier, rel=1e-5)
+        assert float(progress.parameters.moving[0]) == pytest.approx(theta, rel=1e-5, abs=1e-5)
 
 
 def test_only_named_groups_move(data):
@@ -145,12 +183,13 @@ def test_forgetful_adam_is_sign_descent(data):
 
 
 def test_something_not_finite_is_named_and_not_trained_on(data):
-    def breaks(model, clips, *, key, step):
-        loss = jnp.sum(model.moving**2) + jnp.sum(jnp.sqrt(model.still - 1.0))
-        return loss, {"fine": jnp.sum(model.moving**2), "root": loss}
+    class Breaks(AbstractLoss):
+        def __call__(self, model, clips, *, key, step):
+            loss = jnp.sum(model.moving**2) + jnp.sum(jnp.sqrt(model.still - 1.0))
+            return loss, {"fine": jnp.sum(model.moving**2), "root": loss}
 
     model = Model(jnp.full(2, 3.0), jnp.ones(3))  # the root's slope at zero is infinite
-    broken = stage(loss=breaks, rates={"moving": 0.1, "still": 0.1})
+    broken = stage(loss=Breaks(), groups=(MOVING, STILL))
     progress, rest = begin(broken, model)
     run = make_step(broken, 0, 0, model, 5)
     progress, _ = run((rest, data), progress)
@@ -161,11 +200,12 @@ def test_something_not_finite_is_named_and_not_trained_on(data):
 
 
 def test_the_broken_loss_term_is_named(data):
-    def breaks(model, clips, *, key, step):
-        bad = jnp.log(model.moving[0])
-        return bad, {"logarithm": bad, "fine": jnp.array(0.0)}
+    class Breaks(AbstractLoss):
+        def __call__(self, model, clips, *, key, step):
+            bad = jnp.log(model.moving[0])
+            return bad, {"logarithm": bad, "fine": jnp.array(0.0)}
 
-    broken = stage(loss=breaks)
+    broken = stage(loss=Breaks())
     progress, rest = begin(broken, Model(jnp.zeros(2), jnp.ones(3)))
     assert "loss term logarithm" in str(diagnose(broken, 0, 0, progress, rest, data))
 
@@ -177,25 +217,9 @@ def test_schedule_rises_then_falls():
     assert rates[3] == pytest.approx(0.02)
 
 
-def test_settings_are_checked():
-    assert make_recipe("fast", {"joint_horizons": [8], "sigma": 1}).settings()["sigma"] == 1.0
-    with pytest.raises(KeycldError, match="did you mean 'vision_steps'"):
-        make_recipe("fast", {"vision_step": 3})
-    with pytest.raises(KeycldError, match="last_fit is at least 1, not 0"):
-        make_recipe("control", {"last_fit": 0})
-    with pytest.raises(KeycldError, match="given is at least 1, not 0"):
-        make_recipe("fast", {"given": 0})
-    with pytest.raises(KeycldError, match="joint_rate of preset 'fast' is a number of at least 0, not -1"):
-        make_recipe("fast", {"joint_rate": -1.0})
-    with pytest.raises(KeycldError, match="takes a int"):
-        make_recipe("fast", {"vision_steps": "many"})
-    with pytest.raises(KeycldError, match="unknown preset 'fsat'.*did you mean 'fast'"):
-        make_recipe("fsat", {})
-
-
 def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_warns():
     seeing = SimpleNamespace(standardise=SimpleNamespace(deviation=np.float32(0.1)))
     model = SimpleNamespace(estimator=seeing, renderer=SimpleNamespace(background=np.zeros((8, 8, 3))))
     whole = 0.01 * 8 * 8 * 3
-    assert tell_unseen(model, {"reconstruction": 0.1 * whole}) is None
-    assert "0.27 of the mean picture's error" in str(tell_unseen(model, {"reconstruction": 0.27 * whole}))
+    assert warn_unseen(model, {"reconstruction": 0.1 * whole}) is None
+    assert "0.27 of the mean picture's error" in str(warn_unseen(model, {"reconstruction": 0.27 * whole}))

@@ -1,11 +1,38 @@
 """`keycld control`."""
 
+import ast
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import tyro
 
+import keycld
 from keycld import KeycldError
+
+LAWS = Path(keycld.__file__).parent / "control" / "laws"
+
+
+def law_titles() -> str:
+    """Return name, title and settings of the control laws, read from their files: importing them would import JAX."""
+    lines = []
+    for path in sorted(LAWS.glob("*.py")):
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and "register_law" in map(ast.unparse, node.decorator_list):
+                lines.append(_law_title(node))
+    return "\n".join(lines)
+
+
+def _law_title(law: ast.ClassDef) -> str:
+    title = (ast.get_docstring(law) or "").partition("\n")[0]
+    name, settings = "", []
+    for field in law.body:
+        if isinstance(field, ast.AnnAssign) and field.value is not None:
+            target = ast.unparse(field.target)
+            if target == "name":
+                name = ast.literal_eval(field.value)
+            elif "ClassVar" not in ast.unparse(field.annotation):
+                settings.append(f"{target}={ast.unparse(field.value)}")
+    return f"{name}: {title}" + (f" Settings: {', '.join(settings)}." if settings else "")
 
 
 def control(
@@ -13,74 +40,82 @@ def control(
     /,
     *,
     goal: str = "upright",
-    law: Literal["shaping", "paper", "mpc", "zero", "random"] = "shaping",
-    kp: float = 5.0,
-    kd: float = 2.0,
+    law: Annotated[str, tyro.conf.arg(help=f"The control law.\n{law_titles()}\n", metavar="NAME")] = "shaping",
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     limit: float | None = None,
     actuators: tuple[str, ...] = (),
     seconds: float = 10.0,
-    starts: int = 1,
+    trials: int = 1,
     seed: int = 0,
-    observer: Literal["predict-correct", "differences"] = "predict-correct",
+    estimator: Literal["predict-correct", "differences"] = "predict-correct",
     noise: float = 0.0,
     drop: float = 0.0,
     out: Path | None = None,
     workers: int | None = None,
+    json: bool = False,
 ) -> None:
-    """Bring the simulated system to a goal from its pixels: movie, figures, trajectories, energies, inputs, timing.
+    """Bring the simulated system to a goal pose from its pixels, with the physics that a model has learned.
+
+    Each picture of the simulated system gives keypoints, the state estimator turns them into positions and velocities,
+    the control law gives the input, and MuJoCo applies it until the next picture. The true state serves the scores
+    only. Results: scores, trajectories, energies and timing in evaluation/, a movie and figures in media/.
+
+    Examples: `keycld control cartpole --trials 20`, `keycld control acrobot --set kp=8 kd=3`,
+    `keycld control pendulum --law mpc --limit 1 --seconds 20`.
 
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         goal: upright, or a picture (.png) of the pose to reach, as large as the training pictures.
-        law: shaping (energy shaping), paper (its eq. 15 to the letter), mpc (plans a motion and tracks it: for weak or
-            missing inputs), or zero or random input to compare with.
-        kp: Stiffness by mass, 1/s²; small deviations swing with √kp rad/s.
-        kd: Damping by mass, 1/s.
-        limit: The largest |u|; none unless told. mpc and random need one; the usual training data have 3.
-        actuators: The inputs that act, by name; unless told all that moved in the training data.
-        seconds: How long.
-        starts: How many random starts; the first one is timed and shown.
-        seed: Of starts and noise.
-        observer: Where velocities come from: predict-correct (learned dynamics) or differences of frames.
-        noise: Deviation of noise on the pictures, as a part of the full range.
+        law: The control law.
+        set: Settings of the law, such as kp=8.
+        limit: The largest |u|; no limit by default. mpc and random need one; the usual training data have 3.
+        actuators: Names of the inputs that act; by default all inputs in the model's training data.
+        seconds: Duration of each trial.
+        trials: How many random initial states, all at rest; the first one is timed and shown.
+        seed: Of initial states, noise and random inputs.
+        estimator: How velocities are estimated: predict-correct uses the learned dynamics, differences two frames.
+        noise: Deviation of noise on the pictures, as a share of the full range.
         drop: Probability that a frame does not arrive.
-        out: Folder for the results; the run's own unless told.
-        workers: Processes that simulate and draw, at most four. Default: one a core.
+        out: Folder for the results; by default the run's own.
+        workers: Processes that simulate and render, at most four; by default one a core.
+        json: Print the scores as JSON instead of a summary.
     """
-    from keycld.control import Assignment, Disturbance, known_inputs, swing_up
+    from keycld.cli.train import parse_setting
+    from keycld.control import ControlConfig, Disturbance, law_named, swing_up
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
     from keycld.systems import get
     from keycld.training import Counted, load_run, run_folder
 
-    folder = run_folder(run)
-    model, config = load_run(folder)
-    system = get(config.system)
-    assignment = Assignment(
-        law=law,
-        kp=kp,
-        kd=kd,
+    settings = ControlConfig(
+        law=law_named(law, dict(parse_setting(text) for text in set)),
         limit=limit,
-        actuators=known_inputs(system.input_names, config.moved_inputs, actuators),
+        actuators=actuators or None,
         seconds=seconds,
-        starts=starts,
+        trials=trials,
         seed=seed,
-        observer=observer,
+        estimator=estimator,
         disturbance=Disturbance(noise, drop),
     )
     picture = None if goal == "upright" else _picture(Path(goal))
+    folder = run_folder(run)
+    model, config = load_run(folder)
     result = swing_up(
         model,
-        system,
-        threshold_of(model, config),
+        get(config.system),
+        config.epsilon,
         picture,
-        assignment,
+        settings,
+        input_names=config.input_names,
         progress=Counted("control"),
         workers=workers,
     )
-    target, name = out or folder, _name(goal, assignment)
+    target, name = out or folder, _name(goal, settings)
     path = save_evaluation(target, name, result)
     movie, _, figure = write_control_media(target, name, result)
+    if json:
+        print(path.read_text(), end="")
+        return
     print(summary_of(result.scores))
     print(f"stored: {path}, {movie}, {figure}")
     if out is None:
@@ -97,39 +132,26 @@ def _picture(path: Path) -> Any:
     return picture[..., :3] if picture.ndim == 3 else picture
 
 
-def threshold_of(model: Any, config: Any) -> float:
-    """ε as the model itself knows it, from the deviation of its training pictures; else from its data."""
-    standardise = getattr(getattr(model, "estimator", None), "standardise", None)
-    if standardise is not None:
-        return float(standardise.deviation) ** 2
-    from keycld.data import open_data
-    from keycld.evaluation import epsilon
-
-    return epsilon(open_data(config.data).validation().image)  # pyright: ignore[reportArgumentType]
-
-
-def _name(goal: str, assignment: Any) -> str:
-    """Of the result's files: goal, law, and what else differs from the defaults, starts and seed apart."""
-    words = ["control", "upright" if goal == "upright" else Path(goal).stem, assignment.law]
-    words += list(assignment.actuators or ())
-    usual = type(assignment)()
-    words += [
-        f"{name}{getattr(assignment, name):g}"
-        for name in ("kp", "kd", "limit", "seconds")
-        if getattr(assignment, name) != getattr(usual, name)
-    ]
-    words += [f"noise{assignment.disturbance.noise:g}"] if assignment.disturbance.noise else []
-    words += [f"drop{assignment.disturbance.dropped:g}"] if assignment.disturbance.dropped else []
-    words += [assignment.observer] if assignment.observer != usual.observer else []
+def _name(goal: str, config: Any) -> str:
+    """Return the name of the result's files: goal, law, and what differs from the defaults, trials and seed apart."""
+    words = ["control", "upright" if goal == "upright" else Path(goal).stem, config.law.name]
+    words += list(config.actuators or ())
+    now, usual = config.as_dict(), type(config)(law=type(config.law)()).as_dict()
+    numbers = {**now["law_settings"], "limit": now["limit"], "seconds": now["seconds"]}
+    defaults = {**usual["law_settings"], "limit": usual["limit"], "seconds": usual["seconds"]}
+    words += [f"{name}{value:g}" for name, value in numbers.items() if value != defaults[name]]
+    words += [f"noise{config.disturbance.noise:g}"] if config.disturbance.noise else []
+    words += [f"drop{config.disturbance.dropped:g}"] if config.disturbance.dropped else []
+    words += [config.estimator] if config.estimator != usual["estimator"] else []
     return "-".join(words)
 
 
 def summary_of(scores: dict[str, Any]) -> str:
-    """Successes, timing and passivity of a flight, in lines for a terminal."""
+    """Return successes, timing and passivity of a closed-loop run, in lines for a terminal."""
     step = scores["step"]
     largest = ", ".join(f"{value:.3g}" for value in scores["largest_input"])
     lines = [
-        f"{scores['law']}: {scores['successes']} of {scores['n']} starts keep the goal during the last second",
+        f"{scores['law']}: {scores['successes']} of {scores['n']} trials keep the goal during the last second",
         f"  largest |u| {largest}; mean learned mass {scores['mean_mass']:.3g}",
         f"  frame in, input out: median {step['median_ms']:.2f} ms, 99th percentile {step['p99_ms']:.2f} ms of "
         f"{step['period_ms']:.0f} ms, {step['missed']} of {step['frames']} missed",
@@ -137,7 +159,7 @@ def summary_of(scores: dict[str, Any]) -> str:
     if "passivity" in scores:
         passivity = scores["passivity"]
         lines.append(
-            f"  T + V_d falls in {100 * passivity['falling_frames']:.0f} % of the frames, largest rise "
-            f"{100 * passivity['largest_rise_median']:.1f} % of the flight's largest (median of starts)"
+            f"  T + V_d falls in {100 * passivity['falling_frames']:.0f} % of the frames; its largest rise is "
+            f"{100 * passivity['largest_rise_median']:.1f} % of its largest value (median of trials)"
         )
     return "\n".join(lines)

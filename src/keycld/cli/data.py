@@ -26,25 +26,25 @@ def make(
     long: int | None = None,
     workers: int | None = None,
 ) -> None:
-    """Make a system's data set: pictures or what draws them, true states, card, statistics, preview.
+    """Make the data set of a system: pictures or states to render, true states, card, statistics, preview.
 
     Args:
-        system: pendulum, cartpole or acrobot, drawn by MuJoCo; or a set of "Which priors matter?" such as
+        system: pendulum, cartpole or acrobot, rendered by MuJoCo; or a set of "Which priors matter?" such as
             toy/pendulum_colors, games/matching_pennies, md/lj_16 or room/circle (docs/datasets.md has all 17).
-            Interrupted work is taken up; finished data is left as it is.
-        out: Folder; data/SYSTEM unless told.
+            Interrupted work is resumed; finished data are left as they are.
+        out: Folder; data/SYSTEM by default.
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); for toy sets priors-released (the
             configurations behind the published scores) or priors-paper (the text, where it differs). Default:
             keycld-2022, priors-released.
         control: Which inputs act: none, under (the second does not), full, or the name of the one that acts alone,
             such as elbow_torque. Default: the protocol's.
-        start: How runs start: rest, random, or upright (half of them near that pose, for control that must hold it).
+        start: How runs begin: rest, random, or upright (half of them near that pose, for control that must hold it).
             Default: the protocol's.
         clip: Whether the motors limit the input to their range. Default: the protocol's.
         input: Whether the input is constant in a run or a random-walk held for a frame. Default: constant.
         size: full is the published size of the md and room sets, which takes hours; the others are full by default.
-        store: states (drawn when they are read) or images. Default: states where that can be.
-        train: Runs for training, for a smaller set; toy, games, md and room: with those of validation.
+        store: states (rendered when they are read) or images. Default: states where possible.
+        train: Runs for training, for a smaller set; of toy, games, md and room including those for validation.
         validation: Runs for validation.
         test: Runs for the test.
         long: Runs of the long test.
@@ -70,11 +70,11 @@ def make(
     if not made.fresh:
         print(f"{made.folder} is already there, nothing to do")
         return
-    print(f"made {made.folder} in {made.seconds:.0f} s, drawn by {made.renderer}")
+    print(f"made {made.folder} in {made.seconds:.0f} s, rendered by {made.renderer}")
 
 
 def check(data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")], /) -> None:
-    """Check a data file or a folder of them: what is wrong, where, and the mend.
+    """Check a data file or a folder of them: what is wrong, where, and how to fix it.
 
     Args:
         data: An HDF5 file, or a folder with train.h5, validation.h5, …
@@ -102,9 +102,9 @@ def show(
 
     Args:
         data: A system whose data is under data/, or a data set's folder.
-        split: Which file: train, validation, test or test_long.
-        trajectory: Which trajectory of it.
-        out: Movie, .gif or .mp4; DATA-SPLIT-TRAJECTORY.gif unless told.
+        split: The file: train, validation, test or test_long.
+        trajectory: The number of the trajectory; negative ones count from the last.
+        out: Movie, .gif or .mp4; DATA-SPLIT-TRAJECTORY.gif by default.
         scale: Enlargement.
     """
     from keycld.data import open_data
@@ -138,10 +138,10 @@ def import_(
         videos: One or more video files; or one folder of the original suite, with features.txt and train.tfrecord,
             for which only --out counts.
         out: Folder of the data set.
-        constraints: TOML file with keypoint names and constraints, copied beside the data.
+        constraints: TOML file with keypoint names and constraints, copied into the folder.
         size: Height and width of the pictures, a multiple of 8.
-        fps: Frames a second to keep; the video's own unless told.
-        crop: Part of the picture to keep, in pixels of the video; the largest central square unless told.
+        fps: Frames a second to keep; by default those of the video.
+        crop: Part of the picture to keep, in pixels of the video; by default the largest central square.
         frames: Frames of a trajectory.
     """
     from keycld.data import import_suite, import_video
@@ -154,7 +154,7 @@ def import_(
 
 
 class _Shown:
-    """Progress of a long job, as the training shows it."""
+    """Progress of a long job, in the form that training uses."""
 
     def __init__(self) -> None:
         self._bar = None

@@ -1,78 +1,96 @@
-"""From pixels to inputs: energy shaping, planning, observers, the closed loop, environments.
+"""From pixels to inputs: control laws, state estimators, the closed loop, environments.
 
 `keycld.control.environments` registers the Gymnasium environments when it is imported; it alone needs Gymnasium.
 """
 
+from keycld.control.agent import Agent as Agent
+from keycld.control.agent import AgentState as AgentState
 from keycld.control.base import AbstractController as AbstractController
 from keycld.control.base import Belief as Belief
-from keycld.control.base import Idle as Idle
-from keycld.control.base import RandomInput as RandomInput
-from keycld.control.base import actuators_of as actuators_of
-from keycld.control.base import check_limit as check_limit
-from keycld.control.base import known_inputs as known_inputs
-from keycld.control.base import lagrangian_of as lagrangian_of
-from keycld.control.energy_shaping import AbstractShaping as AbstractShaping
-from keycld.control.energy_shaping import EnergyShaping as EnergyShaping
-from keycld.control.energy_shaping import PaperLaw as PaperLaw
+from keycld.control.closed_loop import ClosedLoopRun as ClosedLoopRun
+from keycld.control.closed_loop import Disturbance as Disturbance
+from keycld.control.closed_loop import run_closed_loop as run_closed_loop
 from keycld.control.goal import goal_of as goal_of
 from keycld.control.goal import nearest_pose as nearest_pose
 from keycld.control.imagination import Imagination as Imagination
 from keycld.control.imagination import Imagined as Imagined
-from keycld.control.loop import Disturbance as Disturbance
-from keycld.control.loop import Flight as Flight
-from keycld.control.loop import fly as fly
+from keycld.control.laws.energy_shaping import EnergyShaping as EnergyShaping
+from keycld.control.laws.energy_shaping import ShapingLaw as ShapingLaw
+from keycld.control.laws.paper import PaperLaw as PaperLaw
+from keycld.control.laws.paper import PaperShaping as PaperShaping
+from keycld.control.laws.plan_and_track import PlanAndTrack as PlanAndTrack
+from keycld.control.laws.plan_and_track import PlanAndTrackLaw as PlanAndTrackLaw
+from keycld.control.laws.random import RandomInput as RandomInput
+from keycld.control.laws.random import RandomLaw as RandomLaw
+from keycld.control.laws.zero import ZeroInput as ZeroInput
+from keycld.control.laws.zero import ZeroLaw as ZeroLaw
 from keycld.control.lqr import Weights as Weights
 from keycld.control.lqr import stationary_gain as stationary_gain
-from keycld.control.observer import AbstractObserver as AbstractObserver
-from keycld.control.observer import BackwardDifference as BackwardDifference
-from keycld.control.observer import PredictCorrect as PredictCorrect
 from keycld.control.outcome import outcome as outcome
 from keycld.control.outcome import upright as upright
-from keycld.control.pilot import Aboard as Aboard
-from keycld.control.pilot import Pilot as Pilot
 from keycld.control.planning import Plan as Plan
 from keycld.control.planning import Planner as Planner
 from keycld.control.plant import Plant as Plant
 from keycld.control.plant import advance as advance
 from keycld.control.registration import register_environments as register_environments
-from keycld.control.swing_up import Assignment as Assignment
+from keycld.control.registry import AbstractControlLaw as AbstractControlLaw
+from keycld.control.registry import Problem as Problem
+from keycld.control.registry import Trust as Trust
+from keycld.control.registry import control_laws as control_laws
+from keycld.control.registry import law_named as law_named
+from keycld.control.registry import register_law as register_law
+from keycld.control.requirements import check_limit as check_limit
+from keycld.control.shaping import AbstractShaping as AbstractShaping
+from keycld.control.state_estimator import AbstractStateEstimator as AbstractStateEstimator
+from keycld.control.state_estimator import BackwardDifference as BackwardDifference
+from keycld.control.state_estimator import PredictCorrect as PredictCorrect
+from keycld.control.swing_up import ControlConfig as ControlConfig
 from keycld.control.swing_up import swing_up as swing_up
-from keycld.control.tracking import PlanAndTrack as PlanAndTrack
+from keycld.control.swing_up import upright_picture as upright_picture
 
 __all__ = [
-    "Aboard",
+    "AbstractControlLaw",
     "AbstractController",
-    "AbstractObserver",
     "AbstractShaping",
-    "Assignment",
+    "AbstractStateEstimator",
+    "Agent",
+    "AgentState",
     "BackwardDifference",
     "Belief",
+    "ClosedLoopRun",
+    "ControlConfig",
     "Disturbance",
     "EnergyShaping",
-    "Flight",
-    "Idle",
     "Imagination",
     "Imagined",
     "PaperLaw",
-    "Pilot",
+    "PaperShaping",
     "Plan",
     "PlanAndTrack",
+    "PlanAndTrackLaw",
     "Planner",
     "Plant",
     "PredictCorrect",
+    "Problem",
     "RandomInput",
+    "RandomLaw",
+    "ShapingLaw",
+    "Trust",
     "Weights",
-    "actuators_of",
+    "ZeroInput",
+    "ZeroLaw",
     "advance",
     "check_limit",
-    "nearest_pose",
-    "fly",
+    "control_laws",
     "goal_of",
-    "known_inputs",
-    "lagrangian_of",
+    "law_named",
+    "nearest_pose",
     "outcome",
     "register_environments",
+    "register_law",
+    "run_closed_loop",
     "stationary_gain",
     "swing_up",
     "upright",
+    "upright_picture",
 ]

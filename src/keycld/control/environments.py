@@ -6,15 +6,15 @@ import gymnasium
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.control.base import actuators_of, check_limit
 from keycld.control.plant import Plant
+from keycld.control.requirements import check_limit, positions_of
 from keycld.systems import AbstractMujocoSystem, get
 
 _SECONDS = 10.0
 
 
 class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
-    """A system seen through its camera, to be swung up.
+    """A swing-up task whose observations are the camera's pictures.
 
     | | |
     |---|---|
@@ -25,15 +25,15 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
     | terminated | never |
     | truncated | after 10 s, by Gymnasium's time limit |
 
-    The input is held for one frame (the system's dt), and the picture shows the state after it. Drawing happens in a
-    process of its own, so several systems may be open at once; `close` ends it.
+    The input is held for one frame (the system's dt), and the picture shows the state after it. Pictures are
+    rendered in a separate process, so several environments may be open at once; `close` ends it.
 
     Args:
         system: name of a MuJoCo system.
         limit: the largest |u|, or None. The data of arXiv v1 have 3.
         actuators: names of the inputs that act, the others stay zero; None for all.
-        start: `"rest"`, dm_control's reset of the swing-up task, or `"random"`, any position at rest (slider in ±1 m).
-            `reset(options={"state": [...]})` starts from a given state instead.
+        initial_state: `"rest"`, dm_control's reset of the swing-up task, or `"random"`, any position at rest (slider
+            in ±1 m). `reset(options={"state": [...]})` sets the state instead.
         render_mode: None or `"rgb_array"`.
 
     Raises:
@@ -47,20 +47,20 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
         system: str,
         limit: float | None = 3.0,
         actuators: tuple[str, ...] | None = None,
-        start: str = "rest",
+        initial_state: str = "rest",
         render_mode: str | None = None,
     ):
         found = get(system)
         if not isinstance(found, AbstractMujocoSystem):
             raise KeycldError(f"{system} is not simulated by MuJoCo: choose pendulum, cartpole or acrobot.")
-        if start not in ("rest", "random"):
-            raise KeycldError(f"an environment starts at rest or random, not '{start}'.")
+        if initial_state not in ("rest", "random"):
+            raise KeycldError(f"the initial state of an environment is rest or random, not '{initial_state}'.")
         self.system = found
         self.metadata = {**self.metadata, "render_fps": round(1 / found.dt)}
         self.render_mode = render_mode
-        self._start = start
+        self._initial_state = initial_state
         self._scale, self._bound = (1.0, np.inf) if limit is None else (check_limit(limit), 1.0)
-        self._actuators = list(actuators_of(found.input_names, None if actuators is None else tuple(actuators)))
+        self._actuators = list(positions_of(found.input_names, None if actuators is None else tuple(actuators)))
         self.action_space = gymnasium.spaces.Box(-self._bound, self._bound, (len(self._actuators),), np.float32)
         self.observation_space = gymnasium.spaces.Box(0, 255, (found.size, found.size, 3), np.uint8)
         self._plant: Plant | None = None
@@ -69,10 +69,10 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start anew; `options={"state": [d numbers]}` gives the state."""
+        """Begin an episode; `options={"state": [d numbers]}` sets its initial state."""
         super().reset(seed=seed)
         given = (options or {}).get("state")
-        state = self._draw_start() if given is None else np.asarray(given, float)
+        state = self._sample_state() if given is None else np.asarray(given, float)
         if state.shape != (len(self.system.state_names),):
             raise KeycldError(
                 f"a state of {self.system.name} is {', '.join(self.system.state_names)}, not {given}: give "
@@ -96,18 +96,18 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
         return self._picture.copy(), reward, False, False, info
 
     def render(self) -> np.ndarray | None:
-        """The latest picture."""
+        """Return the latest picture."""
         return self._picture.copy() if self.render_mode == "rgb_array" else None
 
     def close(self) -> None:
-        """End the process that draws."""
+        """End the process that renders."""
         if self._plant is not None:
             self._plant.__exit__(None, None, None)
             self._plant = None
 
-    def _draw_start(self) -> np.ndarray:
+    def _sample_state(self) -> np.ndarray:
         random = np.random.RandomState(self.np_random.integers(2**31))
-        if self._start == "rest":
+        if self._initial_state == "rest":
             return np.concatenate(self.system.rest(random))
         position = self.system.positions(random, slider_limit=1.0)
         return np.concatenate([position, np.zeros_like(position)])

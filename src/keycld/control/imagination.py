@@ -1,4 +1,4 @@
-"""The learned model as an environment: pure functions of states, no pictures, no simulator."""
+"""The learned model as an environment: pure functions of states, without pictures and simulator."""
 
 from typing import NamedTuple
 
@@ -8,18 +8,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from keycld._errors import KeycldError
-from keycld.control.base import lagrangian_of
+from keycld.control.requirements import require
 from keycld.mechanics import AbstractDynamics, ConstrainedLagrangian, Motion, State
-from keycld.models.base import AbstractModel
+from keycld.models.base import AbstractModel, HasLagrangian
 
 
 class Imagined(NamedTuple):
-    """What a step gives.
+    """Result of a step.
 
     Attributes:
-        state: keypoints' positions and velocities.
+        state: positions and velocities of the keypoints.
         reward: minus the mean squared distance of the keypoints to the goal, image-plane units².
-        truncated: whether the time is over.
+        truncated: whether the episode is over.
     """
 
     state: State
@@ -37,10 +37,10 @@ class Imagination(eqx.Module):
     ```
 
     Attributes:
-        law: learned masses, potential energy, input matrix, constraints.
+        law: learned law of motion.
         dynamics: the model's own.
         dt: seconds between frames.
-        poses: [N, 2K], keypoints of seen frames; a start is one of them, at rest.
+        poses: [N, 2K], keypoints of observed frames; an initial state is one of them, at rest.
         goal: x* [2K].
         limit: the largest |u|.
         steps: frames until `truncated`.
@@ -64,22 +64,25 @@ class Imagination(eqx.Module):
         limit: float = jnp.inf,
         steps: int = 1000,
     ) -> "Imagination":
-        """The environment inside a model.
+        """Return the environment inside a model.
 
         Raises:
-            KeycldError: the model has learned no Lagrangian, or there is no pose to start from.
+            KeycldError: the model has learned no Lagrangian, or there is no initial pose.
         """
         if not len(poses):
-            raise KeycldError("an imagined environment starts from seen poses: give the keypoints of a frame or more.")
-        return cls(lagrangian_of(model), model.dynamics, dt, poses, goal, limit, steps)  # pyright: ignore
+            raise KeycldError(
+                "an imagined environment has observed initial poses: give the keypoints of a frame or more."
+            )
+        lagrangian = require(model, HasLagrangian)
+        return cls(lagrangian.law, lagrangian.dynamics, dt, poses, goal, limit, steps)
 
     def reset(self, key: PRNGKeyArray) -> State:
-        """One of the poses, at rest."""
+        """Return one of the poses, at rest."""
         x = self.poses[jax.random.randint(key, (), 0, self.poses.shape[0])]
         return State(Motion(x, jnp.zeros_like(x)), {"constants": self.law.constraint(x)})
 
     def step(self, state: State, u: Float[Array, "l"], count: Int[Array, ""] | int = 0) -> Imagined:
-        """The state one frame later; `count` frames have passed before."""
+        """Return the state one frame later; `count` frames have passed before."""
         state = self.dynamics.step(state, jnp.clip(u, -self.limit, self.limit), self.dt)
         reward = -jnp.mean((state.coordinates.x - self.goal) ** 2)
         return Imagined(state, reward, jnp.asarray(count + 1 >= self.steps))

@@ -1,7 +1,7 @@
 """Linear–quadratic regulation about a pose or along a motion, from the linearised learned dynamics.
 
-All in the model's own coordinates z = (x, v) [4K]. A step of the constrained dynamics returns to the constraints from
-anywhere near, so directions off them have eigenvalues of zero and need no special care.
+Everything is in the model's own coordinates z = (x, v) [4K]. A step of the constrained dynamics projects nearby states
+onto the constraints, so directions off the constraints have eigenvalues of zero and need no special treatment.
 """
 
 from typing import NamedTuple
@@ -18,7 +18,7 @@ from keycld.mechanics import AbstractDynamics, Motion, State
 
 
 class Weights(NamedTuple):
-    """Deviations that cost as much as one another (Bryson's rule): Q = diag(1/deviation²), R = 1/deviation².
+    """Deviations of equal cost (Bryson's rule): Q = diag(1/deviation²), R = 1/deviation².
 
     Attributes:
         position: of a keypoint's coordinate, image-plane units.
@@ -31,7 +31,7 @@ class Weights(NamedTuple):
     input: float
 
     def state_cost(self, dim: int) -> np.ndarray:
-        """Q [4K, 4K]."""
+        """Return Q [4K, 4K], where `dim` is 2K."""
         return np.diag(np.repeat([self.position**-2.0, self.velocity**-2.0], dim))
 
 
@@ -42,7 +42,7 @@ def frame_step(
     constants: Float[Array, "n"],
     dt: float,
 ) -> Float[Array, "two_dim"]:
-    """The motion one frame later."""
+    """Return z one frame later."""
     state = dynamics.step(State(Motion(*jnp.split(z, 2)), {"constants": constants}), u, dt)
     return jnp.concatenate(state.coordinates)
 
@@ -59,18 +59,18 @@ def stationary_gain(
     dt: float,
     weights: Weights,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gain K [a, 4K] of u = u* − K (z − z*) that holds a pose, and its cost-to-go S [4K, 4K].
+    """Return the gain K [a, 4K] of u = u* − K (z − z*) that holds a pose, and its cost-to-go S [4K, 4K].
 
-    Minimises Σ (zᵀQz + uᵀRu) of the step linearised at the pose, by the discrete Riccati equation.
+    K minimises Σ (zᵀQz + uᵀRu) of the step linearised at the pose; S solves the discrete Riccati equation.
 
     Args:
         dynamics: learned.
-        goal: x*.
+        goal: x* [2K], image-plane units.
         u: the input u* [l] that holds it.
-        constants: of the constraints.
-        actuators: numbers of the inputs that act.
+        constants: of the constraints, [n].
+        actuators: positions of the inputs that act.
         dt: seconds between frames.
-        weights: what deviations cost.
+        weights: costs of deviations.
 
     Raises:
         KeycldError: those inputs cannot hold the pose.

@@ -13,17 +13,17 @@ from keycld.control.lqr import Weights, frame_step
 from keycld.mechanics import AbstractDynamics, solve_positive
 
 _GUESSES = ((0.4, 0.0), (0.6, math.pi), (0.9, 0.0), (1.2, math.pi))
-"""Frequencies (Hz) and phases of the swinging inputs that the search starts from."""
-_FROM_NOTHING = 0.7
-"""Part of the limit that a plan from nothing may use."""
+"""Frequencies (Hz) and phases of the oscillating inputs that the search is initialised with."""
+_NEW = 0.7
+"""Share of the limit that a new plan may use."""
 _REFINED = 0.95
-"""Part that a refined one may use."""
+"""Share of the limit that a refined plan may use."""
 _STEPS = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01, 0.003)
-"""Lengths that the line search tries."""
+"""Step lengths of the line search."""
 
 
 class Plan(NamedTuple):
-    """A motion to the goal and how to stay on it.
+    """A motion to the goal, with the feedback gains that keep the system on it.
 
     Attributes:
         z: [H + 1, 4K], positions and velocities at each frame.
@@ -41,29 +41,32 @@ class Plan(NamedTuple):
 class Planner(eqx.Module):
     """Finds motions to a goal under limited inputs by iLQR (Li and Todorov 2004) on the learned dynamics.
 
-    Minimises Σ dt (q_k ‖z_k − z*‖² + r w_k²) + 10 ‖z_H − z*‖² over w, where u = share · limit · tanh w, so that limits
-    hold by construction; q = 0.05 on the way and 1 from the arrival on. Each iteration linearises the dynamics along
-    the motion, solves the linear–quadratic problem backward, and searches forward along its feedback law. Then gains
-    that keep the motion are found by the Riccati equation along it.
+    It minimises
 
-    A plan from nothing takes the best of four swings and leaves a part of the limit to what comes after it: a motion
-    that needs all of the input from the start cannot be mended on the way. `refine` mends it.
+        Σ_k dt (q_k ‖z_k − z*‖² + r w_k²) + 10 ‖z_H − z*‖²,   u = share · limit · tanh w,
+
+    over w, so the limit holds by construction; q = 0.05 before the arrival at the goal and 1 from then on. Each
+    iteration linearises the dynamics along the motion, solves the linear–quadratic problem backward in time, and
+    searches forward along its feedback law. Finally the Riccati equation along the motion gives the tracking gains.
+
+    A new plan is the best of four searches, initialised with oscillations. It uses only a share of the limit: a motion
+    that needs the whole input cannot be corrected on the way. `refine` corrects it and may use more.
 
     Attributes:
         dynamics: learned, or true.
-        goal: z* [4K].
-        actuators: numbers of the inputs that act.
-        inputs: of all inputs.
+        goal: z* [4K], image-plane units and units/s.
+        actuators: positions of the inputs that act.
+        inputs: l, the number of all inputs.
         limit: the largest |u|.
         dt: seconds between frames.
-        horizon: frames of a plan.
+        horizon: H, frames of a plan.
         stay: the last of them, in which the goal is to be held.
-        iterations: of the search from nothing.
-        refinements: iterations from an older plan.
-        effort: r. Slow motions with inputs far from the limit: a learned model is off by a tenth of a fast motion's
-            acceleration, and feedback needs what the plan leaves.
-        reach: what deviations count alike in ‖z − z*‖².
-        hold: what deviations cost in tracking.
+        iterations: of the search for a new plan.
+        refinements: iterations of the search from an older plan.
+        effort: r. A high value gives slow motions with inputs far from the limit: the learned accelerations of fast
+            motions are less accurate, and feedback needs what the plan leaves of the input.
+        reach: deviations of equal cost in ‖z − z*‖².
+        hold: deviations of equal cost in tracking.
 
     Good values: 4 s, half a second of which are to hold the goal; 80 iterations, 6 refinements.
     """
@@ -84,11 +87,17 @@ class Planner(eqx.Module):
 
     @eqx.filter_jit
     def __call__(self, z: Float[Array, "two_dim"], constants: Float[Array, "n"], ahead: Float[Array, "s s"]) -> Plan:
-        """The best motion from `z`; `ahead` is the cost-to-go at the goal that the tracking gains end with."""
+        """Return a new plan.
+
+        Args:
+            z: (x, v) [4K] at the first frame of the plan.
+            constants: of the constraints, [n].
+            ahead: cost-to-go [4K, 4K] at the goal, from which the tracking gains are computed backward.
+        """
         time = self.dt * jnp.arange(self.horizon)
-        starts = jnp.stack([0.5 * jnp.sin(2 * math.pi * f * time + phase) for f, phase in _GUESSES])
-        w = jnp.broadcast_to(starts[:, :, None], (*starts.shape, len(self.actuators)))
-        search = lambda w: self._search(z, w, constants, _FROM_NOTHING, self.arrival, self.iterations)  # noqa: E731
+        guesses = jnp.stack([0.5 * jnp.sin(2 * math.pi * f * time + phase) for f, phase in _GUESSES])
+        w = jnp.broadcast_to(guesses[:, :, None], (*guesses.shape, len(self.actuators)))
+        search = lambda w: self._search(z, w, constants, _NEW, self.arrival, self.iterations)  # noqa: E731
         motions, us, costs = jax.vmap(search)(w)
         best = jnp.argmin(costs)
         return Plan(motions[best], us[best], self._tracking(motions[best], us[best], constants, ahead), costs[best])
@@ -104,16 +113,16 @@ class Planner(eqx.Module):
         constants: Float[Array, "n"],
         ahead: Float[Array, "s s"],
     ) -> Plan:
-        """A plan from `z`, searched for near the motion that the feedback of an older plan would make.
+        """Return a plan near the motion that the feedback of an older plan would cause.
 
         Args:
-            z: where the plan begins.
+            z: (x, v) [4K] at the first frame of the plan.
             plan: the older one.
-            age: its frame that is `z`'s.
+            age: the frame of the older plan that `z` belongs to.
             left: frames until the goal is to be reached.
-            hold: gain after the older plan's end.
-            constants: of the constraints.
-            ahead: as for a plan from nothing.
+            hold: stationary gain [a, 4K], used after the older plan's end.
+            constants: of the constraints, [n].
+            ahead: as for a new plan.
         """
         act = jnp.asarray(self.actuators)
 
@@ -129,7 +138,7 @@ class Planner(eqx.Module):
     def follow(
         self, plan: Plan, hold: Float[Array, "a two_dim"], z: Float[Array, "two_dim"], k: Int[Array, ""]
     ) -> Float[Array, "l"]:
-        """The input at the plan's frame `k`: feedback about it, after its end about the goal with gain `hold`."""
+        """Return the input at the plan's frame `k`: feedback about the plan, after its end about the goal by `hold`."""
         over, k = k >= self.horizon, jnp.minimum(k, self.horizon - 1)
         away = z - jnp.where(over, self.goal, plan.z[k])
         feedback = spread(-_times(jnp.where(over, hold, plan.gain[k]), away), self.actuators, self.inputs)
@@ -147,7 +156,7 @@ class Planner(eqx.Module):
         return frame_step(self.dynamics, z, self._input(w, share), constants, self.dt)
 
     def _search(
-        self, start: Array, w: Array, constants: Array, share: float, left: int | Array, iterations: int
+        self, initial: Array, w: Array, constants: Array, share: float, left: int | Array, iterations: int
     ) -> tuple[Array, Array, Array]:
         weight = jnp.diagonal(self.reach.state_cost(self.goal.shape[0] // 2))
         urgency = jnp.where(jnp.arange(self.horizon) < left, 0.05, 1.0)
@@ -201,8 +210,8 @@ class Planner(eqx.Module):
             return (z, w, jnp.where(better, costs[chosen], best), damping), None
 
         still = jnp.zeros((self.horizon, w.shape[1]))
-        still_gain = jnp.zeros((self.horizon, w.shape[1], start.shape[0]))
-        z0 = jnp.broadcast_to(start[None, :], (self.horizon + 1, start.shape[0]))
+        still_gain = jnp.zeros((self.horizon, w.shape[1], initial.shape[0]))
+        z0 = jnp.broadcast_to(initial[None, :], (self.horizon + 1, initial.shape[0]))
         z, w, first = forward(0.0, z0, w, still, still_gain)
         carry, _ = jax.lax.scan(iterate, (z, w, first, jnp.float32(1e-2)), length=iterations)
         z, w, best, _ = carry

@@ -1,4 +1,4 @@
-"""Several copies of a system in MuJoCo, pushed by inputs and photographed in worker processes."""
+"""Several copies of a system in MuJoCo, simulated and rendered in worker processes."""
 
 from collections.abc import Sequence
 from types import TracebackType
@@ -9,7 +9,7 @@ import numpy as np
 from keycld.systems import AbstractMujocoSystem, Task, Workers, draw_in_worker
 
 
-class Seen(NamedTuple):
+class Advanced(NamedTuple):
     """States `[n, d]` and their pictures, uint8 `[n, H, W, 3]`."""
 
     state: np.ndarray
@@ -17,14 +17,14 @@ class Seen(NamedTuple):
 
 
 class Plant:
-    """`n` copies of a system, stepped together. A context manager: its workers end with it.
+    """`n` copies of a system, advanced together. A context manager: its workers end with it.
 
-    One physics step a frame, as in the data. The motors do not limit the input; who drives it does.
+    MuJoCo makes one step a frame, as in the data. The plant does not limit the input; the agent does.
 
     Args:
         system: simulated by MuJoCo.
-        states: [n, d], the start.
-        workers: processes that simulate and draw; by default one a core.
+        states: [n, d], initial states.
+        workers: processes that simulate and render; by default one a core.
     """
 
     def __init__(self, system: AbstractMujocoSystem, states: np.ndarray, workers: int | None = None):
@@ -39,16 +39,16 @@ class Plant:
         self._workers.close()
 
     def look(self) -> np.ndarray:
-        """Pictures of the present states."""
+        """Return pictures of the present states, uint8 [n, H, W, 3]."""
         parts = self._split(len(self.state))
         answers = self._workers.run([Task(draw_in_worker, (self.system, self.state[part])) for part in parts])
         return np.concatenate([answer.image for answer in answers])
 
     def advance(self, inputs: np.ndarray) -> np.ndarray:
-        """Hold `inputs [n, l]` for one frame; pictures of the states after it."""
+        """Hold `inputs [n, l]` for one frame; return pictures of the states after it."""
         parts = self._split(len(self.state))
         tasks = [Task(advance_in_worker, (self.system, self.state[part], inputs[part])) for part in parts]
-        answers: list[Seen] = self._workers.run(tasks)
+        answers: list[Advanced] = self._workers.run(tasks)
         self.state = np.concatenate([answer.state for answer in answers])
         return np.concatenate([answer.frames for answer in answers])
 
@@ -57,13 +57,13 @@ class Plant:
         return [slice(first, last) for first, last in zip(edges[:-1], edges[1:], strict=True)]
 
 
-def advance_in_worker(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> Seen:
-    """States `[n, d]` one frame later under `inputs [n, l]`, with their pictures; for worker processes."""
+def advance_in_worker(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> Advanced:
+    """Return states `[n, d]` one frame later under `inputs [n, l]`, with their pictures; for worker processes."""
     after = advance(system, states, inputs)
-    return Seen(after, draw_in_worker(system, after).image)
+    return Advanced(after, draw_in_worker(system, after).image)
 
 
 def advance(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-    """States `[n, d]` one frame later under `inputs [n, l]`, without pictures."""
+    """Return states `[n, d]` one frame later under `inputs [n, l]`, without pictures."""
     pairs = zip(states, inputs, strict=True)
     return np.stack([system.simulate(state, u, 1, clip=False).state[-1] for state, u in pairs])

@@ -1,4 +1,4 @@
-"""Makes the Gymnasium environments known, without needing Gymnasium before."""
+"""Registers the Gymnasium environments; importing this module does not need Gymnasium."""
 
 from keycld._errors import KeycldError
 

@@ -1,76 +1,67 @@
-"""One call from a trained model to a controlled system: goal, observer, controller, loop, outcome."""
+"""One call from a trained model to a controlled system: goal, state estimator, controller, closed loop, scores."""
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from keycld._errors import KeycldError, check_seed, unknown
-from keycld.control.base import (
-    AbstractController,
-    Idle,
-    RandomInput,
-    actuators_of,
-    check_limit,
-    lagrangian_of,
-)
-from keycld.control.energy_shaping import EnergyShaping, PaperLaw
+from keycld.control.agent import Agent, AgentState
+from keycld.control.closed_loop import Disturbance, run_closed_loop
 from keycld.control.goal import goal_of, nearest_pose
-from keycld.control.loop import Disturbance, fly
-from keycld.control.observer import AbstractObserver, BackwardDifference, PredictCorrect
+from keycld.control.laws.energy_shaping import ShapingLaw
 from keycld.control.outcome import outcome
-from keycld.control.pilot import Aboard, Pilot
 from keycld.control.plant import Plant
-from keycld.control.tracking import PlanAndTrack
+from keycld.control.registry import AbstractControlLaw, Problem, Trust
+from keycld.control.requirements import check_limit, plant_inputs, positions_of, require
+from keycld.control.state_estimator import AbstractStateEstimator, BackwardDifference, PredictCorrect
 from keycld.evaluation import Evaluation
-from keycld.models.base import AbstractModel
+from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian
 from keycld.systems import AbstractMujocoSystem, AbstractSystem
 
-LAWS = ("shaping", "paper", "mpc", "zero", "random")
-OBSERVERS = ("predict-correct", "differences")
+ESTIMATORS = ("predict-correct", "differences")
 
 
-@dataclass(frozen=True)
-class Assignment:
-    """What is to be done and how.
+@dataclasses.dataclass(frozen=True)
+class ControlConfig:
+    """Everything that decides a closed-loop run, apart from model, system and goal.
 
     Attributes:
-        law: "shaping" (energy shaping, scale-free), "paper" (eq. 15 to the letter), "mpc" (plan and track), or for
-            comparison "zero" and "random".
-        kp: stiffness by mass, 1/s².
-        kd: damping by mass, 1/s.
+        law: the control law with its settings, such as `ShapingLaw(kp=8.0)`; `law_named` finds one by name.
         limit: the largest |u|; None for none.
-        actuators: names of the inputs that act; None for all.
-        seconds: of each flight.
-        starts: how many; all positions random (slider in ±1 m), at rest.
-        seed: of starts and disturbances.
-        observer: "predict-correct" or "differences".
+        actuators: names of the inputs that act; None for all that the model knows.
+        seconds: duration.
+        trials: how many initial states; all positions are random (slider in ±1 m), at rest.
+        seed: of initial states, disturbances and random inputs.
+        estimator: the state estimator, "predict-correct" or "differences".
         disturbance: of the pictures.
+
+    Raises:
+        KeycldError: a name or number is out of its range.
     """
 
-    law: str = "shaping"
-    kp: float = 5.0
-    kd: float = 2.0
+    law: AbstractControlLaw = ShapingLaw()
     limit: float | None = None
     actuators: tuple[str, ...] | None = None
     seconds: float = 10.0
-    starts: int = 1
+    trials: int = 1
     seed: int = 0
-    observer: str = "predict-correct"
-    disturbance: Disturbance = field(default_factory=Disturbance)
+    estimator: str = "predict-correct"
+    disturbance: Disturbance = Disturbance()
 
     def __post_init__(self):
-        """Names and numbers within their ranges."""
-        if self.law not in LAWS:
-            raise unknown("control law", self.law, LAWS)
-        if self.observer not in OBSERVERS:
-            raise unknown("observer", self.observer, OBSERVERS)
-        if not (self.kp > 0 and self.kd > 0):
-            raise KeycldError(f"kp and kd are positive numbers, not {self.kp} and {self.kd}.")
-        if not (self.seconds >= 0.1 and self.starts >= 1):
-            raise KeycldError(f"give at least 0.1 s and one start, not {self.seconds} s and {self.starts}.")
+        """Check names and numbers."""
+        if self.estimator not in ESTIMATORS:
+            raise unknown("state estimator", self.estimator, ESTIMATORS)
+        if not (self.seconds >= 0.1 and self.trials >= 1):
+            raise KeycldError(f"give at least 0.1 s and one trial, not {self.seconds} s and {self.trials}.")
         check_seed(self.seed)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return all fields for JSON; `law` is the name of the law."""
+        fields = dataclasses.asdict(self)
+        return {**fields, "law": self.law.name, "law_settings": fields["law"]}
 
 
 def swing_up(
@@ -78,92 +69,80 @@ def swing_up(
     system: AbstractSystem,
     epsilon: float,
     picture: np.ndarray | None = None,
-    assignment: Assignment = Assignment(),
+    config: ControlConfig = ControlConfig(),
     *,
+    input_names: tuple[str, ...] | None = None,
     progress: Callable[[int, int], None] | None = None,
     workers: int | None = None,
 ) -> Evaluation:
     """Bring a system to the pose of a picture, from pixels alone, in MuJoCo.
 
     Args:
-        model: trained on it.
+        model: trained on it, with keypoints and a Lagrangian.
         system: simulated by MuJoCo.
-        epsilon: ε of the model's data: a goal image that is drawn worse than this shows nothing known.
+        epsilon: ε of the model's data: a goal image that the model renders worse than this is refused.
         picture: uint8 [H, W, 3], the goal; None for the system standing upright.
-        assignment: law, gains, limits, starts.
+        config: law, limits, trials.
+        input_names: of the inputs in the model's training data, which are those that the model knows; the system's
+            other inputs stay zero. None: all inputs of the system.
         progress: called with the number of frames done and their total.
-        workers: processes that simulate and draw; by default one a core.
+        workers: processes that simulate and render; by default one a core.
 
     Returns:
         Scores and arrays (`docs/control.md` lists them).
 
     Raises:
-        KeycldError: the model has no Lagrangian, the goal image shows no pose that it knows or that the system can
-            reach, or the assignment is not possible.
+        KeycldError: the model has no Lagrangian, no keypoints or no inputs; the goal image shows no pose that it knows
+            or that the system can reach; or the law cannot solve the problem.
     """
     if not isinstance(system, AbstractMujocoSystem):
         raise KeycldError(f"{system.name} is not simulated by MuJoCo, so it cannot be controlled here.")
-    law = lagrangian_of(model)
-    limit = check_limit(assignment.limit)
-    actuators = actuators_of(system.input_names, assignment.actuators)
-    wanted = upright_picture(system) if picture is None else picture
-    goal = goal_of(model, wanted, epsilon)
-    pilot = Pilot(model, _observer(model, system.dt, assignment), _controller(law, goal, system, assignment), limit)
+    lagrangian, keypoint_model = require(model, HasLagrangian), require(model, HasKeypoints)
+    names = system.input_names if input_names is None else input_names
+    inputs = plant_inputs(lagrangian, names, system)
+    actuators, limit = positions_of(names, config.actuators), check_limit(config.limit)
+    goal_picture = upright_picture(system) if picture is None else picture
+    goal = goal_of(model, goal_picture, epsilon)
+    problem = Problem(lagrangian.law, goal, actuators, limit, system.dt, config.seed)
+    estimator = _state_estimator(lagrangian, system.dt, config.estimator, config.law.trust)
+    agent = Agent(keypoint_model, estimator, config.law.controller(problem), limit)
 
-    def on_first(aboard: Aboard) -> None:
+    def on_first(state: AgentState) -> None:
         """Refuse a goal out of reach; one with shared constants was refused before."""
-        for k in np.flatnonzero(np.asarray(aboard.belief.sightings)):
-            nearest_pose(model, goal, aboard.belief.state.parameters["constants"][k])
+        for k in np.flatnonzero(np.asarray(state.belief.observations)):
+            nearest_pose(lagrangian, goal, state.belief.state.parameters["constants"][k])
 
-    random = np.random.RandomState(assignment.seed)
-    positions = np.stack([system.positions(random, slider_limit=1.0) for _ in range(assignment.starts)])
-    flight = fly(
-        pilot,
+    random = np.random.RandomState(config.seed)
+    positions = np.stack([system.positions(random, slider_limit=1.0) for _ in range(config.trials)])
+    run = run_closed_loop(
+        agent,
         system,
         np.concatenate([positions, np.zeros_like(positions)], axis=1),
-        assignment.seconds,
-        disturbance=assignment.disturbance,
-        seed=assignment.seed,
+        config.seconds,
+        inputs=inputs,
+        disturbance=config.disturbance,
+        seed=config.seed,
         on_first=on_first,
         progress=progress,
         workers=workers,
     )
-    settings: dict[str, Any] = asdict(assignment)
-    settings |= {
+    settings = config.as_dict() | {
         "goal": "upright" if picture is None else "image",
         "inputs": system.input_names,
-        "acting": [system.input_names[k] for k in actuators],
+        "acting": [names[k] for k in actuators],
     }
-    return outcome(flight, system, pilot, np.asarray(goal), wanted, stands=picture is None, settings=settings)
+    return outcome(
+        run, system, agent, inputs, np.asarray(goal), goal_picture, to_upright=picture is None, settings=settings
+    )
 
 
 def upright_picture(system: AbstractMujocoSystem) -> np.ndarray:
-    """The goal image of `picture=None`: all links upright, at rest, a slider in the middle."""
+    """Return the default goal image: all links upright, at rest, a slider in the middle; uint8 [H, W, 3]."""
     with Plant(system, np.zeros((1, len(system.state_names))), workers=1) as plant:
         return plant.look()[0]
 
 
-def _observer(model: AbstractModel, dt: float, assignment: Assignment) -> AbstractObserver:
-    law = lagrangian_of(model)
-    if assignment.observer == "differences":
-        return BackwardDifference(law, dt)
-    dynamics, constants = model.dynamics, model.constants  # pyright: ignore[reportAttributeAccessIssue]
-    if assignment.law == "mpc":
-        # A plan trusts the dynamics, and errors of velocity are what it cannot mend.
-        return PredictCorrect(law, dynamics, dt, acceleration_error=1.0, adaptation=0.0, constants=constants)
-    return PredictCorrect(law, dynamics, dt, constants=constants)
-
-
-def _controller(law: Any, goal: Any, system: AbstractMujocoSystem, assignment: Assignment) -> AbstractController:
-    actuators, inputs = actuators_of(system.input_names, assignment.actuators), len(system.input_names)
-    limit = check_limit(assignment.limit)
-    if assignment.law == "mpc":
-        return PlanAndTrack.towards(law, goal, actuators, limit, system.dt)
-    if assignment.law == "zero":
-        return Idle(inputs)
-    if assignment.law == "random":
-        if not np.isfinite(limit):
-            raise KeycldError("random inputs need a limit: give one, such as --limit 3.")
-        return RandomInput(inputs, actuators, limit, assignment.seed)
-    kind = EnergyShaping if assignment.law == "shaping" else PaperLaw
-    return kind(law, goal, actuators, assignment.kp, assignment.kd)
+def _state_estimator(lagrangian: HasLagrangian, dt: float, name: str, trust: Trust) -> AbstractStateEstimator:
+    if name == "differences":
+        return BackwardDifference(lagrangian.law, dt)
+    return PredictCorrect(lagrangian.law, lagrangian.dynamics, dt, *trust, constants=lagrangian.constants)

@@ -1,34 +1,36 @@
-"""Trajectories on disk: format, validator, the papers' protocols, import of videos."""
+"""Trajectories on disk: format, generation, import, description, and sampling of clips."""
 
-from keycld.data.check import check as check
-from keycld.data.clips import AbstractSampler as AbstractSampler
-from keycld.data.clips import Clip as Clip
-from keycld.data.clips import RandomFrames as RandomFrames
-from keycld.data.clips import Resident as Resident
-from keycld.data.clips import StartGroups as StartGroups
-from keycld.data.clips import TrainingData as TrainingData
-from keycld.data.clips import WholeTrajectories as WholeTrajectories
-from keycld.data.clips import resident as resident
 from keycld.data.dataset import DataSet as DataSet
 from keycld.data.dataset import open_data as open_data
-from keycld.data.dataset import unfinished as unfinished
-from keycld.data.drawn import DrawnLater as DrawnLater
-from keycld.data.drawn import with_derivative as with_derivative
-from keycld.data.drawn import with_pictures as with_pictures
-from keycld.data.import_suite import import_suite as import_suite
-from keycld.data.importing import import_video as import_video
-from keycld.data.make import Made as Made
-from keycld.data.make import Progress as Progress
-from keycld.data.make import make_data as make_data
-from keycld.data.movies import show as show
-from keycld.data.protocols import PROTOCOLS as PROTOCOLS
-from keycld.data.statistics import image_statistics as image_statistics
-from keycld.data.statistics import sha256 as sha256
-from keycld.data.store import Trajectories as Trajectories
-from keycld.data.store import open_file as open_file
-from keycld.data.store import read as read
-from keycld.data.store import write as write
-from keycld.data.sweeps import Sweep as Sweep
+from keycld.data.describe.movies import show as show
+from keycld.data.describe.normalised_error import normalised_errors as normalised_errors
+from keycld.data.describe.statistics import image_statistics as image_statistics
+from keycld.data.format.check import check as check
+from keycld.data.format.derived import with_derivative as with_derivative
+from keycld.data.format.derived import with_pictures as with_pictures
+from keycld.data.format.folder import sha256 as sha256
+from keycld.data.format.folder import unfinished as unfinished
+from keycld.data.format.reading import open_file as open_file
+from keycld.data.format.reading import read as read
+from keycld.data.format.trajectories import Trajectories as Trajectories
+from keycld.data.format.writing import write as write
+from keycld.data.generate.make import Made as Made
+from keycld.data.generate.make import Progress as Progress
+from keycld.data.generate.make import make_data as make_data
+from keycld.data.generate.protocols import PROTOCOLS as PROTOCOLS
+from keycld.data.generate.sweeps import Sweep as Sweep
+from keycld.data.imports.suite import import_suite as import_suite
+from keycld.data.imports.video import import_video as import_video
+from keycld.data.sample.clips import Clip as Clip
+from keycld.data.sample.drawn_later import DrawnLater as DrawnLater
+from keycld.data.sample.resident import Resident as Resident
+from keycld.data.sample.resident import resident as resident
+from keycld.data.sample.samplers import AbstractSampler as AbstractSampler
+from keycld.data.sample.samplers import RandomFrames as RandomFrames
+from keycld.data.sample.samplers import StartGroups as StartGroups
+from keycld.data.sample.samplers import WholeTrajectories as WholeTrajectories
+from keycld.data.sample.samplers import Windows as Windows
+from keycld.data.sample.training_data import TrainingData as TrainingData
 
 __all__ = [
     "PROTOCOLS",
@@ -42,14 +44,16 @@ __all__ = [
     "Resident",
     "StartGroups",
     "Sweep",
-    "Trajectories",
     "TrainingData",
+    "Trajectories",
     "WholeTrajectories",
+    "Windows",
     "check",
     "image_statistics",
     "import_suite",
     "import_video",
     "make_data",
+    "normalised_errors",
     "open_data",
     "open_file",
     "read",

@@ -1,32 +1,32 @@
-"""Opens a folder of trajectories, whoever made it."""
+"""Opens a folder of trajectories, from keycld or from elsewhere."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from keycld._errors import KeycldError, unknown
-from keycld.data.clips import Resident, TrainingData, resident
-from keycld.data.drawn import with_pictures
-from keycld.data.rules import EVERY
-from keycld.data.statistics import read_statistics
-from keycld.data.store import Trajectories, read, recordings
-from keycld.data.sweeps import Sweep, sweeps_of
-from keycld.systems import AbstractSystem, get, names
+from keycld.data.format.derived import MOST_BYTES, picture_shape, refuse_if_large, with_pictures
+from keycld.data.format.folder import CONSTRAINTS, read_statistics, unfinished
+from keycld.data.format.reading import blocks, read, recordings
+from keycld.data.format.rules import EVERY
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.generate.sweeps import Sweep, sweeps_of
+from keycld.data.sample.resident import Resident
+from keycld.data.sample.training_data import TrainingData
+from keycld.systems import get, names
 
 if TYPE_CHECKING:
     import keycld.mechanics
 
-PARTIAL = ".partial"
-CONSTRAINTS = "constraints.toml"
-
 
 @dataclass(frozen=True)
 class DataSet:
-    """A folder of trajectories; nothing is read before it is asked for, and nothing is kept.
+    """A folder of trajectories; nothing is read before it is needed, and nothing is kept.
 
     Attributes:
-        folder: where it lies.
-        constraints_file: the TOML file that `constraints` come from, or None for the system's suggestion.
+        folder: the path of the folder.
+        constraints_file: the TOML file that `constraints` come from, or None for the suggestion of the system.
     """
 
     folder: Path
@@ -38,7 +38,7 @@ class DataSet:
         return tuple(sorted(path.stem for path in self.folder.glob("*.h5")))
 
     def path(self, name: str) -> Path:
-        """The file of a split.
+        """Return the file of a split.
 
         Raises:
             KeycldError: the folder lacks it.
@@ -48,7 +48,7 @@ class DataSet:
         return self.folder / f"{name}.h5"
 
     def count(self, name: str) -> int:
-        """How many trajectories the file of a split holds.
+        """Count the trajectories of a split.
 
         Raises:
             KeycldError: the folder lacks the file, or it is damaged.
@@ -56,9 +56,9 @@ class DataSet:
         return recordings(self.path(name))
 
     def split(self, name: str, *, images: bool = True, rows: slice = EVERY) -> Trajectories:
-        """The trajectories of one file, or some of them, with or without their pictures.
+        """Read the trajectories of one file, or some of them, with or without their pictures.
 
-        Pictures that are not stored are drawn, where a renderer of ours draws them.
+        Pictures that are not stored are rendered, if keycld has the renderer.
 
         Args:
             name: of the file, without .h5.
@@ -66,49 +66,82 @@ class DataSet:
             rows: which trajectories, such as `slice(0, 100)`.
 
         Raises:
-            KeycldError: the folder lacks the file, something is wrong in it, or drawing takes too much memory.
+            KeycldError: the folder lacks the file, something is wrong in it, or the pictures take too much memory.
         """
-        trajectories = read(self.path(name), images=images, rows=rows)
+        path = self.path(name)
+        shape = picture_shape(path, rows) if images else None
+        if shape is not None:
+            refuse_if_large(shape)
+        trajectories = read(path, images=images, rows=rows)
         return with_pictures(trajectories) if images else trajectories
 
-    def resident(self, name: str = "train") -> Resident:
-        """The trajectories of one file on the device, for samplers: pictures, or what draws them from the states.
+    def blocks(self, name: str, size: int = 16, *, images: bool = True) -> Iterator[Trajectories]:
+        """Read the trajectories of one file in order, `size` at a time, for files that do not fit into memory.
+
+        Args:
+            name: of the file, without .h5.
+            size: trajectories of a block; the last block may have fewer.
+            images: False leaves `image` None; otherwise pictures that are not stored are rendered.
 
         Raises:
-            KeycldError: as `split`, and where there are neither pictures nor a renderer of ours.
+            KeycldError: as `split`.
         """
-        return resident(read(self.path(name)))
+        found = blocks(self.path(name), size, images=images)
+        return map(with_pictures, found) if images else found
 
-    def training_data(self, seed: int) -> TrainingData:
-        return TrainingData(self.resident())
+    def training_data(
+        self, seed: int, *, budget_bytes: int | float = MOST_BYTES, shard_steps: int = TrainingData.SHARD_STEPS
+    ) -> TrainingData:
+        """Prepare the training split for samplers: resident as a whole if it fits into memory, or shard by shard.
+
+        Args:
+            seed: decides which trajectories are resident together.
+            budget_bytes: memory for the training data.
+            shard_steps: steps until the next shard takes the place of the resident one.
+
+        Raises:
+            KeycldError: there is no training split, the budget is too small, or there are neither pictures nor a
+                renderer.
+        """
+        return TrainingData(self.path("train"), seed, budget_bytes=budget_bytes, shard_steps=shard_steps)
+
+    def resident(self, name: str = "train") -> Resident:
+        """Put all trajectories of one file on the device: their pictures, or a renderer if only states are stored.
+
+        Raises:
+            KeycldError: they take too much memory, or there are neither pictures nor a renderer.
+        """
+        source = TrainingData(self.path(name), seed=0)
+        if source.until(0) is not None:
+            raise KeycldError(
+                f"{source.shape[0]} trajectories of {self.folder} do not fit into memory: use training_data instead."
+            )
+        return source.at(0)
 
     def train(self) -> Trajectories:
-        """What models learn from."""
+        """Read the training split, from which models learn."""
         return self.split("train")
 
     def validation(self) -> Trajectories:
-        """What choices are made on, and what the threshold ε comes from."""
+        """Read the validation split, on which choices are made and which gives the threshold ε."""
         return self.split("validation")
 
     def test(self) -> Trajectories:
-        """What nothing is ever tuned on."""
+        """Read the test split, on which nothing is ever tuned."""
         return self.split("test")
 
     def sweeps(self) -> tuple[Sweep, ...]:
-        """Pictures along the paths of the energy figures; none where the folder has no sweeps.h5."""
+        """Read the pictures along the paths of the energy figures; none if the folder has no sweeps.h5."""
         return sweeps_of(self.split("sweeps")) if "sweeps" in self.splits else ()
 
     @property
     def attributes(self) -> dict[str, Any]:
-        """Root attributes of the first of train, validation, test that is there."""
-        for name in ("train", "validation", "test", *self.splits):
-            if name in self.splits:
-                return dict(read(self.path(name), images=False, rows=slice(0, 1)).attributes)
-        raise KeycldError(f"{self.folder} holds no .h5 file.")
+        """Root attributes of the first existing file of train, validation and test."""
+        return dict(self._first.attributes)
 
     @property
     def system(self) -> str:
-        """The name of what moves."""
+        """The name of the system."""
         return str(self.attributes["system"])
 
     @property
@@ -117,44 +150,50 @@ class DataSet:
         return float(self.attributes["dt"])
 
     @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs; "input 1" and so on if the file does not name them, () if nothing drives the motion."""
+        first = self._first
+        numbered = tuple(f"input {k + 1}" for k in range(first.input.shape[-1]))
+        return tuple(first.attributes.get("input_names", numbered))
+
+    @property
     def statistics(self) -> dict[str, Any] | None:
-        """What `statistics.json` says, or None where there is none."""
+        """The contents of `statistics.json`, or None if there is none."""
         return read_statistics(self.folder)
 
     @property
-    def constraints(self) -> "keycld.mechanics.Constraints":
-        """The constraints on the keypoints.
-
-        Raises:
-            KeycldError: there is neither a constraints file nor a known system.
-        """
+    def constraints(self) -> "keycld.mechanics.Constraints | None":
+        """The constraints on the keypoints; None without a constraints file and without a suggestion of the system."""
         if self.constraints_file is not None:
             from keycld.mechanics import load_constraints
 
             return load_constraints(self.constraints_file)
-        return self._known_system().constraints
+        name = self.system
+        if name not in names() or not get(name).keypoints:
+            return None
+        return get(name).constraints
 
     @property
     def keypoints(self) -> tuple[str, ...]:
-        """Names of the keypoints, in the order of the constraints file or of the system."""
-        return self.constraints.keypoints
+        """Names of the keypoints, in the order of the constraints file or of the system; () if there are none."""
+        found = self.constraints
+        return () if found is None else found.keypoints
 
-    def _known_system(self) -> AbstractSystem:
-        name = self.system
-        if name in names():
-            return get(name)
-        raise KeycldError(
-            f"no keypoints are known for '{name}': put a {CONSTRAINTS} into {self.folder}, or give one with "
-            "--constraints FILE.toml (docs/data.md shows one)."
-        )
+    @property
+    def _first(self) -> Trajectories:
+        """One trajectory, without its pictures."""
+        for name in ("train", "validation", "test", *self.splits):
+            if name in self.splits:
+                return read(self.path(name), images=False, rows=slice(0, 1))
+        raise KeycldError(f"{self.folder} holds no .h5 file.")
 
 
 def open_data(data: str | Path, *, constraints: str | Path | None = None) -> DataSet:
     """Open the data set of a system or in a folder.
 
     Args:
-        data: a system's name, which means the folder `data/NAME`, or a folder.
-        constraints: a TOML file that replaces the folder's `constraints.toml` and the system's suggestion.
+        data: the name of a system, which means the folder `data/NAME`, or a folder.
+        constraints: a TOML file that replaces the `constraints.toml` of the folder and the suggestion of the system.
 
     Raises:
         KeycldError: no such system or folder, no data in it, or unfinished data.
@@ -165,16 +204,11 @@ def open_data(data: str | Path, *, constraints: str | Path | None = None) -> Dat
     if unfinished(folder):
         raise KeycldError(f"the data in {folder} are unfinished: run the command that made them once more.")
     if constraints is None:
-        beside = folder / CONSTRAINTS
-        return DataSet(folder, beside if beside.exists() else None)
+        inside = folder / CONSTRAINTS
+        return DataSet(folder, inside if inside.exists() else None)
     if not Path(constraints).is_file():
         raise KeycldError(f"there is no constraints file {constraints}: check the path.")
     return DataSet(folder, Path(constraints))
-
-
-def unfinished(folder: Path) -> bool:
-    """Whether the making of the data there was interrupted."""
-    return (folder / PARTIAL).exists() and not (folder / "statistics.json").exists()
 
 
 def _folder(data: str | Path) -> Path:

@@ -13,6 +13,7 @@ from keycld.mechanics.dense import Linear as Linear
 from keycld.mechanics.dense import SwishEnergy as SwishEnergy
 from keycld.mechanics.dense import SwishMLP as SwishMLP
 from keycld.mechanics.dense import truncated_normal as truncated_normal
+from keycld.mechanics.dynamics import AbstractMechanicalDynamics as AbstractMechanicalDynamics
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
 from keycld.mechanics.fitting import Fitted as Fitted
@@ -20,8 +21,10 @@ from keycld.mechanics.fitting import fit_motions as fit_motions
 from keycld.mechanics.generalized import GeneralizedLagrangian as GeneralizedLagrangian
 from keycld.mechanics.generalized import MLPFactor as MLPFactor
 from keycld.mechanics.generalized import pulled_back as pulled_back
+from keycld.mechanics.hamiltonian import AbstractHamiltonian as AbstractHamiltonian
 from keycld.mechanics.hamiltonian import Hamiltonian as Hamiltonian
 from keycld.mechanics.hamiltonian import LegendreLaw as LegendreLaw
+from keycld.mechanics.hamiltonian import SeparableHamiltonian as SeparableHamiltonian
 from keycld.mechanics.hamiltonian import momentum as momentum
 from keycld.mechanics.hamiltonian import to_hamiltonian as to_hamiltonian
 from keycld.mechanics.integrators import RK2 as RK2
@@ -33,49 +36,67 @@ from keycld.mechanics.lagrangian import AbstractLagrangian as AbstractLagrangian
 from keycld.mechanics.lagrangian import AbstractLaw as AbstractLaw
 from keycld.mechanics.lagrangian import ConstrainedLagrangian as ConstrainedLagrangian
 from keycld.mechanics.linear import solve_positive as solve_positive
+from keycld.mechanics.masses import AbstractMassMatrix as AbstractMassMatrix
+from keycld.mechanics.masses import CoupledMasses as CoupledMasses
+from keycld.mechanics.masses import PointMasses as PointMasses
+from keycld.mechanics.named import integrator_named as integrator_named
 from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatrix
 from keycld.mechanics.networks import AffineMLPPotential as AffineMLPPotential
-from keycld.mechanics.networks import CoupledMasses as CoupledMasses
 from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
 from keycld.mechanics.networks import MLPPotential as MLPPotential
 from keycld.mechanics.networks import Perceptron as Perceptron
-from keycld.mechanics.networks import PointMasses as PointMasses
+from keycld.mechanics.phase_space import FirstOrderDynamics as FirstOrderDynamics
+from keycld.mechanics.phase_space import HamiltonianDynamics as HamiltonianDynamics
 from keycld.mechanics.rattle import Rattle as Rattle
-from keycld.mechanics.relations import AbstractRelation as AbstractRelation
-from keycld.mechanics.relations import DistanceToPoint as DistanceToPoint
-from keycld.mechanics.relations import FixedDistance as FixedDistance
-from keycld.mechanics.relations import OnLine as OnLine
+from keycld.mechanics.relation import AbstractDisplacement as AbstractDisplacement
+from keycld.mechanics.relation import AbstractRelation as AbstractRelation
+from keycld.mechanics.relation import register_relation as register_relation
+from keycld.mechanics.relations.distance_to_point import DistanceToPoint as DistanceToPoint
+from keycld.mechanics.relations.fixed_distance import FixedDistance as FixedDistance
+from keycld.mechanics.relations.on_line import OnLine as OnLine
 from keycld.mechanics.rigid_body import PointPair as PointPair
 from keycld.mechanics.rigid_body import RigidBody as RigidBody
 from keycld.mechanics.rigid_body import rigid_body as rigid_body
 from keycld.mechanics.rigid_body import two_point_masses as two_point_masses
+from keycld.mechanics.runge_kutta import RungeKutta as RungeKutta
 from keycld.mechanics.second_order import SecondOrderNetwork as SecondOrderNetwork
 from keycld.mechanics.shake import Shake as Shake
 from keycld.mechanics.state import AbstractDynamics as AbstractDynamics
+from keycld.mechanics.state import AbstractField as AbstractField
 from keycld.mechanics.state import Motion as Motion
+from keycld.mechanics.state import PhasePoint as PhasePoint
 from keycld.mechanics.state import Scalar as Scalar
 from keycld.mechanics.state import State as State
+from keycld.mechanics.symplectic import Composition as Composition
 
 __all__ = [
     "AbstractConstraint",
+    "AbstractDisplacement",
     "AbstractDynamics",
+    "AbstractField",
+    "AbstractHamiltonian",
     "AbstractIntegrator",
     "AbstractLagrangian",
     "AbstractLaw",
+    "AbstractMassMatrix",
+    "AbstractMechanicalDynamics",
     "AbstractRelation",
     "AdaptiveDynamics",
     "AffineMLPInputMatrix",
     "AffineMLPPotential",
+    "Composition",
     "ConstrainedLagrangian",
     "Constraints",
     "CoupledMasses",
     "DistanceToPoint",
     "Euler",
+    "FirstOrderDynamics",
     "Fitted",
     "FixedDistance",
     "FunctionConstraint",
     "GeneralizedLagrangian",
     "Hamiltonian",
+    "HamiltonianDynamics",
     "Leapfrog",
     "LegendreLaw",
     "Linear",
@@ -86,14 +107,17 @@ __all__ = [
     "Motion",
     "OnLine",
     "Perceptron",
+    "PhasePoint",
     "PointMasses",
     "PointPair",
     "RK2",
     "RK4",
     "Rattle",
     "RigidBody",
+    "RungeKutta",
     "Scalar",
     "SecondOrderNetwork",
+    "SeparableHamiltonian",
     "Shake",
     "State",
     "SwishEnergy",
@@ -102,11 +126,13 @@ __all__ = [
     "as_constraint",
     "dump_constraints",
     "fit_motions",
+    "integrator_named",
     "joining_velocity",
     "load_constraints",
-    "parse_constraints",
     "momentum",
+    "parse_constraints",
     "pulled_back",
+    "register_relation",
     "rigid_body",
     "solve_positive",
     "to_hamiltonian",

@@ -4,58 +4,63 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, PyTree
 
-from keycld.mechanics.dynamics import frame_inputs, stack_first
-from keycld.mechanics.lagrangian import AbstractLaw
-from keycld.mechanics.state import AbstractDynamics, Motion, Scalar, State
+from keycld.mechanics.dynamics import AbstractMechanicalDynamics
+from keycld.mechanics.integrators import frame_inputs, stack_first
+from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian
+from keycld.mechanics.state import AbstractField, Motion, Scalar, State
 
 
 def adaptive_rollout(
-    law: AbstractLaw,
+    law: AbstractField,
     state: State,
     u: Float[Array, "l"] | Float[Array, "steps l"],
     dt: Scalar,
     steps: int,
     rtol: float = 1e-6,
     atol: float = 1e-6,
-) -> Motion:
-    """The motion at `steps` + 1 frames by Dormand–Prince 5(4), the given frame first.
+    pull_back: bool = True,
+) -> PyTree:
+    """Return the coordinates at `steps` + 1 frames by Dormand–Prince 5(4), the given ones first.
 
-    Eq. (6) keeps Φ̇ only, so Φ would drift. As in the released code, the vector field therefore pulls x back
-    to Φ(x) = constants of the state before it evaluates the acceleration; `project_position` does here what
-    BFGS did there. Inputs are constant in a frame, so each frame is integrated by itself. Not symplectic, and
-    much slower than `Rattle`: for the `paper` preset and for checks. A motion that the steps cannot follow, because it
-    diverges, is NaN from there on; the other motions of a batch are not touched.
+    Eq. (6) keeps only Φ̇ at zero, so rounding and truncation make Φ drift. With `pull_back` the vector field first
+    pulls x back to Φ(x) = constants of the state and evaluates the acceleration there, as the released code of arXiv v1
+    does; `project_position` takes the place of its BFGS. The 2024 version does not pull back. Inputs are constant in a
+    frame interval, so each interval is integrated by itself. Not symplectic, and much slower than `Rattle`: for the
+    `paper` preset and for checks. Where the solver cannot follow a motion, because it diverges, the rest of that motion
+    is NaN; other motions of a batch are unaffected.
 
     Args:
-        law: point masses with constraints, or any law without `constants` in its states.
-        state: the start, with `constants` among its parameters where there are constraints.
+        law: a law of motion, or any other field.
+        state: the initial state, with `constants` among its parameters where constraints are pulled back.
         u: the input, constant [l] or [steps, l], read in reverse for negative dt.
         dt: seconds between frames.
-        steps: how many frames to go.
+        steps: number of frame intervals.
         rtol: relative tolerance of a step.
         atol: absolute tolerance of a step. 1e-6 is about the best that float32 can do.
+        pull_back: whether the field of a `ConstrainedLagrangian` pulls Φ back to its constants.
 
     Raises:
         KeycldError: if `u` does not fit.
     """
     parameters = state.parameters
+    pulled = law if pull_back and isinstance(law, ConstrainedLagrangian) and "constants" in parameters else None
 
-    def field(_, motion, u):
-        x = motion.x
-        if "constants" in parameters:
-            x = law.project_position(x, parameters["constants"], parameters)  # pyright: ignore[reportAttributeAccessIssue]
-        return Motion(motion.v, law.acceleration(x, motion.v, u, parameters))
+    def field(_, coordinates, u):
+        if pulled is not None:
+            x = pulled.project_position(coordinates.x, parameters["constants"], parameters)
+            coordinates = Motion(x, coordinates.v)
+        return law.derivative(coordinates, u, parameters)
 
-    def frame(motion, u):
+    def frame(coordinates, u):
         solution = diffrax.diffeqsolve(
             diffrax.ODETerm(field),
             diffrax.Dopri5(),
             t0=0.0,
             t1=dt,
             dt0=None,
-            y0=motion,
+            y0=coordinates,
             args=u,
             stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
             throw=False,
@@ -64,27 +69,30 @@ def adaptive_rollout(
         end = jax.tree.map(lambda y: jnp.where(arrived, y[-1], jnp.nan), solution.ys)
         return end, end
 
-    _, motions = jax.lax.scan(frame, state.coordinates, frame_inputs(u, dt, steps))
-    return stack_first(state.coordinates, motions)
+    _, rest = jax.lax.scan(frame, state.coordinates, frame_inputs(u, dt, steps))
+    return stack_first(state.coordinates, rest)
 
 
-class AdaptiveDynamics(AbstractDynamics):
-    """A law, integrated by `adaptive_rollout`.
+class AdaptiveDynamics(AbstractMechanicalDynamics):
+    """A law, integrated by `adaptive_rollout` (paper, appendix A.9).
 
     Attributes:
         law: as for `adaptive_rollout`.
-        rtol, atol: tolerances of a step.
+        rtol: relative tolerance of a step.
+        atol: absolute tolerance of a step.
+        pull_back: whether the field pulls Φ back to its constants: True is arXiv v1, False the 2024 version.
     """
 
     law: AbstractLaw
     rtol: float = eqx.field(static=True, default=1e-6)
     atol: float = eqx.field(static=True, default=1e-6)
+    pull_back: bool = eqx.field(static=True, default=True)
 
     def step(self, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
-        """The state one frame later (earlier for negative dt)."""
+        """Return the state one frame later (earlier for negative dt)."""
         motion = self.rollout(state, u, dt, 1)
         return State(jax.tree.map(lambda y: y[-1], motion), state.parameters)
 
     def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
-        """The motion at `steps` + 1 frames; see `adaptive_rollout`."""
-        return adaptive_rollout(self.law, state, u, dt, steps, self.rtol, self.atol)
+        """Return the motion at `steps` + 1 frames; see `adaptive_rollout`."""
+        return adaptive_rollout(self.law, state, u, dt, steps, self.rtol, self.atol, self.pull_back)

@@ -8,17 +8,16 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError, unknown
-from keycld.mechanics.relations import AbstractRelation
+from keycld.mechanics.relation import AbstractDisplacement, AbstractRelation, displacements
 
 
 class AbstractConstraint(eqx.Module):
     """A constraint function Φ(x, parameters) → [n] on flattened keypoint positions x [2K].
 
-    The dynamics keep Φ at the value it has at the start, so constants (lengths, heights) need not be known
+    The dynamics keep Φ at the value of the initial state, so constants (lengths, heights) need not be known
     (paper, end of section 2): only DΦ enters eq. (6), and RATTLE reads the constants from the state.
 
     Attributes:
@@ -34,15 +33,20 @@ class AbstractConstraint(eqx.Module):
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
-        """Φ(x). `parameters` are those of the trajectory's state."""
+        """Return Φ(x).
+
+        Args:
+            x: positions [2K], image-plane units.
+            parameters: those of the trajectory's state.
+        """
 
 
 class FunctionConstraint(AbstractConstraint):
     """A plain function of the flattened positions as a constraint.
 
     Args:
-        function: `function(x, parameters)` → a number or [n]; differentiable twice in x. A module with
-            trainable arrays is welcome.
+        function: `function(x, parameters)` → a number or [n], twice differentiable in x; it may be a module with
+            trainable arrays.
         dimension: 2K.
 
     Raises:
@@ -57,7 +61,7 @@ class FunctionConstraint(AbstractConstraint):
         """Number of scalar constraints, n, from the shape of Φ.
 
         Raises:
-            KeycldError: if the function reads parameters, for then only a state tells it.
+            KeycldError: if the function reads parameters: then n is known only with a state.
         """
         try:
             return jax.eval_shape(self, jax.ShapeDtypeStruct((self.dimension,), jnp.float32)).shape[0]
@@ -68,7 +72,7 @@ class FunctionConstraint(AbstractConstraint):
             ) from None
 
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
-        """Φ(x)."""
+        """Return Φ(x)."""
         value = jnp.asarray(self.function(x, parameters or {}))
         if value.ndim > 1 or not jnp.issubdtype(value.dtype, jnp.floating):
             raise KeycldError(
@@ -88,6 +92,7 @@ class Constraints(AbstractConstraint):
         keypoints: names in the order of x.
         items: relations on these names, other constraints of the same dimension, or plain functions
             `function(x, parameters)`.
+        squared: whether `FixedDistance` and `DistanceToPoint` are squares |y|² (by default) or distances |y|.
 
     Raises:
         KeycldError: for an unknown, empty or doubled name, no keypoints, or an item of another kind.
@@ -95,14 +100,16 @@ class Constraints(AbstractConstraint):
 
     keypoints: tuple[str, ...] = eqx.field(static=True)
     items: tuple[Any, ...]
+    squared: bool = eqx.field(static=True)
 
-    def __init__(self, keypoints, items=()):
+    def __init__(self, keypoints, items=(), squared=True):
         self.keypoints = _names(keypoints)
         self.items = tuple(self._item(item) for item in items)
+        self.squared = squared
 
     def _item(self, item: Any) -> "AbstractRelation | AbstractConstraint":
         if isinstance(item, AbstractRelation):
-            for name in item.signs:
+            for name in item.keypoints:
                 if name not in self.keypoints:
                     raise unknown("keypoint", name, self.keypoints)
             return item
@@ -125,31 +132,37 @@ class Constraints(AbstractConstraint):
         """2K."""
         return 2 * len(self.keypoints)
 
+    def distances(self) -> "Constraints":
+        """Return the same constraints, measured by distances |y| in place of squares |y|².
+
+        Both describe the same motions: the rows of DΦ differ only in length. The released code of arXiv v1 uses
+        distances. |y| is rounded off to √(|y|² + 10⁻¹²), so that its derivatives exist where two keypoints meet;
+        squares remain the better choice near such a point. Components along a line, other relations and functions
+        stay as they are.
+        """
+        items = (item.distances() if isinstance(item, Constraints) else item for item in self.items)
+        return Constraints(self.keypoints, items, squared=False)
+
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
-        """Φ(x), the items' values one after another."""
+        """Return Φ(x), the items' values one after another."""
         parameters = parameters or {}
         values = [x[:0]]
-        for related, items in itertools.groupby(self.items, lambda item: isinstance(item, AbstractRelation)):
-            if related:
-                values.append(self._relations(list(items), x, parameters))
+        for together, items in itertools.groupby(self.items, lambda item: isinstance(item, AbstractDisplacement)):
+            if together:
+                values.append(displacements(list(items), self.keypoints, x, parameters, self.squared))
             else:
-                values += [item(x, parameters) for item in items]
+                values += [self._value(item, x, parameters) for item in items]
         return jnp.concatenate(values)
 
-    def _relations(self, relations: list[AbstractRelation], x: Array, parameters: dict[str, Any]) -> Array:
-        """All of them at once: Φ = (s y + n)·y with y = signs · x − p."""
-        signs = np.array([[relation.signs.get(name, 0.0) for name in self.keypoints] for relation in relations])
-        normals = [relation.normal for relation in relations]
-        square = np.array([[0.0 if normal else 1.0] * 2 for normal in normals])
-        linear = np.array([normal or (0.0, 0.0) for normal in normals])
-        origins = [jnp.asarray(relation.origin(parameters), x.dtype) for relation in relations]
-        points = x.reshape(1, -1, 2)
-        y = jnp.sum(jnp.asarray(signs, x.dtype)[:, :, None] * points, axis=1) - jnp.stack(origins)
-        return jnp.sum((jnp.asarray(square, x.dtype) * y + jnp.asarray(linear, x.dtype)) * y, axis=1)
+    def _value(self, item: AbstractRelation | AbstractConstraint, x: Array, parameters: dict[str, Any]) -> Array:
+        if isinstance(item, AbstractConstraint):
+            return item(x, parameters)
+        index = jnp.array([self.keypoints.index(name) for name in item.keypoints])
+        return item(x.reshape(-1, 2)[index], parameters)[None]
 
 
 def as_constraint(constraint: Any, dimension: int) -> AbstractConstraint:
-    """The constraint itself, or a plain function made into one.
+    """Return the constraint itself, or a plain function made into one.
 
     Raises:
         KeycldError: if it is neither, or belongs to another number of coordinates.

@@ -19,48 +19,20 @@ point = [0.0, 0.0]        # or the name of an entry of the state's parameters
 
 import json
 import tomllib
-from collections.abc import Callable
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError, unknown
 from keycld.mechanics.constraints import Constraints
-from keycld.mechanics.relations import AbstractRelation, DistanceToPoint, FixedDistance, OnLine
-
-
-def _between(value: Any) -> tuple[str, str]:
-    if not isinstance(value, list) or len(value) != 2 or not all(isinstance(name, str) for name in value):
-        raise KeycldError(f'\'between\' is two keypoints such as ["cart", "tip"], not {value!r}.')
-    return value[0], value[1]
-
-
-def _keypoint(value: Any) -> str:
-    if not isinstance(value, str):
-        raise KeycldError(f"'keypoint' is a name in quotes, not {value!r}.")
-    return value
-
-
-# By kind: what its entries are called, which of them may be left out, and how they become a relation.
-_KINDS: dict[str, tuple[tuple[str, ...], tuple[str, ...], Callable[..., AbstractRelation]]] = {
-    "fixed_distance": (("between",), (), lambda between: FixedDistance(*_between(between))),
-    "distance_to_point": (
-        ("keypoint", "point"),
-        ("point",),
-        lambda keypoint, point=(0.0, 0.0): DistanceToPoint(_keypoint(keypoint), point),
-    ),
-    "on_line": (
-        ("keypoint", "direction"),
-        ("direction",),
-        lambda keypoint, direction=(1.0, 0.0): OnLine(_keypoint(keypoint), direction),
-    ),
-}
+from keycld.mechanics.relation import AbstractRelation, relation_kinds, relation_of_kind
 
 
 def load_constraints(path: str | Path) -> Constraints:
     """Read constraints from a TOML file laid out as at the top of this module; a file without any is fine.
 
     Raises:
-        KeycldError: if the file cannot be read or says something else; it names the file, the entry, the mend.
+        KeycldError: if the file cannot be read or says something else; it names the file, the entry and the fix.
     """
     path = Path(path)
     try:
@@ -73,7 +45,15 @@ def load_constraints(path: str | Path) -> Constraints:
 
 
 def parse_constraints(text: str, source: str) -> Constraints:
-    """Constraints from TOML text as `load_constraints` reads it; errors call it `source`."""
+    """Parse constraints from TOML text as `load_constraints` reads it.
+
+    Args:
+        text: the TOML text.
+        source: what error messages call it.
+
+    Raises:
+        KeycldError: as `load_constraints`.
+    """
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -85,11 +65,16 @@ def parse_constraints(text: str, source: str) -> Constraints:
 
 
 def dump_constraints(constraints: Constraints) -> str:
-    """The TOML text that `load_constraints` reads back to equal constraints.
+    """Return the TOML text that `load_constraints` reads back to equal constraints.
 
     Raises:
-        KeycldError: if one of them is a Python function, which has no text.
+        KeycldError: if one of them is a Python function, which has no text, or if they are measured by distances.
     """
+    if not constraints.squared:
+        raise KeycldError(
+            "constraints measured by distances cannot be written as TOML, because a file names relations only: "
+            "write the original ones and call distances() where the model is built."
+        )
     lines = [f"keypoints = {_list(constraints.keypoints)}"]
     for item in constraints.items:
         lines += ["", "[[constraint]]", *_entry(item)]
@@ -120,36 +105,39 @@ def _relation(entry: dict[str, Any]) -> AbstractRelation:
     entry = dict(entry)
     kind = entry.pop("kind", None)
     if not isinstance(kind, str):
-        raise KeycldError(f"it needs a kind in quotes, one of {', '.join(sorted(_KINDS))}.")
-    if kind not in _KINDS:
-        raise unknown("kind of constraint", kind, _KINDS)
-    names, optional, build = _KINDS[kind]
+        raise KeycldError(f"it needs a kind in quotes, one of {', '.join(sorted(relation_kinds()))}.")
+    relation = relation_of_kind(kind)
     for name in entry:
-        if name not in names:
-            raise unknown(f"entry of a {kind} constraint", name, names)
-    for name in names:
-        if name not in entry and name not in optional:
+        if name not in relation.required + relation.optional:
+            raise unknown(f"entry of a {kind} constraint", name, relation.required + relation.optional)
+    for name in relation.required:
+        if name not in entry:
             raise KeycldError(f"a {kind} constraint needs the entry '{name}'.")
-    return build(**entry)
+    return relation.read(entry)
 
 
 def _entry(item: Any) -> list[str]:
-    match item:
-        case FixedDistance(first=first, second=second):
-            return ['kind = "fixed_distance"', f"between = {_list((first, second))}"]
-        case DistanceToPoint(keypoint=keypoint, point=point):
-            value = _text(point) if isinstance(point, str) else _list(point)
-            return ['kind = "distance_to_point"', f"keypoint = {_text(keypoint)}", f"point = {value}"]
-        case OnLine(keypoint=keypoint, direction=direction):
-            return ['kind = "on_line"', f"keypoint = {_text(keypoint)}", f"direction = {_list(direction)}"]
-    raise KeycldError(
-        f"a {type(item).__name__} cannot be written as TOML: keep it in Python, or use the kinds "
-        f"{', '.join(sorted(_KINDS))}."
-    )
+    kinds = relation_kinds()
+    if not isinstance(item, AbstractRelation) or kinds.get(item.kind) is not type(item):
+        raise KeycldError(
+            f"a {type(item).__name__} cannot be written as TOML: keep it in Python, or use the kinds "
+            f"{', '.join(sorted(kinds))}."
+        )
+    return [f"{name} = {_toml(value)}" for name, value in ({"kind": item.kind} | item.write()).items()]
 
 
-def _list(values: tuple[str | float, ...]) -> str:
-    return "[" + ", ".join(_text(v) if isinstance(v, str) else repr(v) for v in values) + "]"
+def _toml(value: Any) -> str:
+    if isinstance(value, str):
+        return _text(value)
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, int | float):
+        return repr(value)
+    return _list(value)
+
+
+def _list(values: Sequence[Any]) -> str:
+    return "[" + ", ".join(map(_toml, values)) + "]"
 
 
 def _text(value: str) -> str:

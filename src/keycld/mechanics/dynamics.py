@@ -1,17 +1,43 @@
-"""A law of motion with an integrator: steps, roll-outs, and the velocity that joins two frames."""
+"""Dynamics of second order: a law of motion with an integrator, and the velocity that joins two frames."""
 
+import abc
+
+import equinox as eqx
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.mechanics.integrators import AbstractIntegrator
-from keycld.mechanics.lagrangian import AbstractLaw
+from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian
 from keycld.mechanics.state import AbstractDynamics, Motion, Scalar, State
 
 
-class MechanicalDynamics(AbstractDynamics):
-    """A law, integrated.
+class AbstractMechanicalDynamics(AbstractDynamics):
+    """Dynamics that integrate a law of second order; the coordinates of their states are a `Motion`."""
+
+    law: eqx.AbstractVar[AbstractLaw]
+
+    @abc.abstractmethod
+    def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
+        """Return the motion at `steps` + 1 frames, the given one first.
+
+        Args:
+            state: the initial state.
+            u: the input, constant [l] or one for each frame interval [steps, l]. For negative dt the latter
+                is read in reverse, so a roll-out back over the same frames takes the same array.
+            dt: seconds between frames.
+            steps: number of frame intervals.
+
+        Returns:
+            `Motion` with a leading axis of steps + 1.
+
+        Raises:
+            KeycldError: if `u` does not fit.
+        """
+
+
+class MechanicalDynamics(AbstractMechanicalDynamics):
+    """A law, integrated with fixed steps.
 
     Attributes:
         law: for instance a `ConstrainedLagrangian`.
@@ -22,57 +48,16 @@ class MechanicalDynamics(AbstractDynamics):
     integrator: AbstractIntegrator
 
     def step(self, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
-        """The state one frame later (earlier for negative dt)."""
+        """Return the state one frame later (earlier for negative dt)."""
         return self.integrator.step(self.law, state, u, dt)
 
     def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
-        """The motion at `steps` + 1 frames, the given one first.
-
-        Args:
-            state: the start.
-            u: the input, constant [l] or one for each frame interval [steps, l]. For negative dt the latter
-                is read in reverse, so a roll-out back over the same frames takes the same array.
-            dt: seconds between frames.
-            steps: how many frames to go.
-
-        Returns:
-            `Motion` with a leading axis of steps + 1.
-
-        Raises:
-            KeycldError: if `u` does not fit.
-        """
-        parameters = state.parameters
-        start = state.coordinates
-        memory = self.integrator.begin(self.law, start, parameters, dt / self.integrator.substeps)
-
-        def body(carry, u):
-            motion, memory = self.integrator.frame(self.law, carry[0], carry[1], parameters, u, dt)
-            return (motion, memory), motion
-
-        _, motions = jax.lax.scan(body, (start, memory), frame_inputs(u, dt, steps))
-        return stack_first(start, motions)
-
-
-def frame_inputs(u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Float[Array, "steps l"]:
-    """The input of each frame interval in the order of integration: read in reverse for negative dt.
-
-    Raises:
-        KeycldError: if there are not as many as steps.
-    """
-    if u.ndim == 1:
-        return jnp.broadcast_to(u[None, :], (steps, u.shape[0]))
-    if u.shape[0] != steps:
-        raise KeycldError(f"a roll-out of {steps} steps needs {steps} inputs, not {u.shape[0]}: cut or extend u.")
-    return jnp.where(jnp.asarray(dt) < 0, u[::-1], u)
-
-
-def stack_first(first: Motion, rest: Motion) -> Motion:
-    """A motion and the stacked ones after it as one stack."""
-    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
+        """Return the motion at `steps` + 1 frames; see `AbstractMechanicalDynamics.rollout`."""
+        return self.integrator.rollout(self.law, state, u, dt, steps)
 
 
 def joining_velocity(
-    dynamics: MechanicalDynamics,
+    dynamics: AbstractMechanicalDynamics,
     x0: Float[Array, "dim"],
     x1: Float[Array, "dim"],
     parameters: dict[str, Array],
@@ -80,17 +65,17 @@ def joining_velocity(
     dt: Scalar,
     iterations: int = 3,
 ) -> Float[Array, "dim"]:
-    """The velocity at x0 with which one frame step, sub-steps included, arrives at x1.
+    """Compute the velocity at x0 with which one frame step, sub-steps included, arrives at x1.
 
-    A fixed point: v ← v + R(x1 − x̂(v))/dt from v = P₀(x1 − x0)/dt, where x̂(v) is the end of the step, P₀ and P₁
+    It is a fixed point: v ← v + R(x1 − x̂(v))/dt from v = P₀(x1 − x0)/dt, where x̂(v) is the end of the step, P₀ and P₁
     project on the velocities that the constraints allow at x0 and at x̂, and R = P₀(3 − P₁P₀)P₁/2 carries the
-    miss from x̂ back to x0 nearly without shrinking it. A backward difference, in contrast, is half a frame old
-    and has the length of the chord.
+    error at x̂ back to x0 and nearly keeps its length. A backward difference, in contrast, belongs to the middle of
+    the frame interval and has the length of the chord.
 
     Args:
-        dynamics: a law of point masses with its integrator.
+        dynamics: a `ConstrainedLagrangian` with its integrator.
         x0: positions at a frame.
-        x1: positions at the next one; noise off the constraints is projected away.
+        x1: positions at the next one; a part of it off the constraints is projected away.
         parameters: of the state, with `constants`.
         u: the input between them.
         dt: seconds between them.
@@ -99,10 +84,16 @@ def joining_velocity(
 
     Returns:
         v at x0. The state at the second frame is the end of the step from (x0, v).
+
+    Raises:
+        KeycldError: for another kind of law.
     """
+    law = dynamics.law
+    if not isinstance(law, ConstrainedLagrangian):
+        raise KeycldError(f"two frames are joined through a ConstrainedLagrangian, not a {type(law).__name__}.")
 
     def project(x, v):
-        return dynamics.law.project_velocity(x, v, parameters)  # pyright: ignore[reportAttributeAccessIssue]
+        return law.project_velocity(x, v, parameters)
 
     def better(v: Array, _: None) -> tuple[Array, None]:
         reached = dynamics.step(State(Motion(x0, v), parameters), u, dt).coordinates.x

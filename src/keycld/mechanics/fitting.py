@@ -1,4 +1,4 @@
-"""Least squares through the dynamics: the starts of many motions and the law's parameters from what was seen."""
+"""Least squares through the dynamics: initial states of many motions and parameters of the law from observations."""
 
 from typing import Any, NamedTuple
 
@@ -15,12 +15,12 @@ from keycld.mechanics.state import Motion, Scalar, State
 
 
 class Fitted(NamedTuple):
-    """What `fit_motions` found.
+    """The result of `fit_motions`.
 
     Attributes:
         dynamics: the given ones with the fitted parameters.
         paths: positions of the fitted motions at all frames.
-        rms: root mean square distance between paths and sightings, per component.
+        rms: root mean square difference of paths and observations, per component.
     """
 
     dynamics: MechanicalDynamics
@@ -42,27 +42,30 @@ def fit_motions(
     scale: float = 0.05,
     chunk: int = 50,
 ) -> Fitted:
-    """Fit the start of every motion, and parameters θ common to all, to sightings of whole trajectories.
+    """Fit the initial state of every motion, and parameters θ common to all, to observations of whole trajectories.
 
         min over zᵢ, θ of Σᵢₜₖ ρ(xₖ(t; zᵢ, θ) − seenᵢₜₖ),    ρ(e) = s²(√(1 + (e/s)²) − 1)
 
-    by Levenberg–Marquardt. z = (x₀, v₀) is projected on the constraints. A sighting's error is averaged over all frames
-    of its motion, so fitted paths are better estimates of the positions than sightings are, and forces are seen over
-    the whole time instead of between frames.
-    The starts are eliminated trajectory by trajectory (Schur complement), so the cost is linear in N.
+    by Levenberg–Marquardt. z = (x₀, v₀) is projected on the constraints. Observation errors average out over all frames
+    of a motion, so fitted paths are better estimates of the positions than the observations are, and forces act over
+    the whole time instead of between two frames.
+    The initial states are eliminated trajectory by trajectory (Schur complement), so the cost is linear in N.
 
     Args:
-        dynamics: a constrained Lagrangian with its integrator; a good guess.
+        dynamics: a `ConstrainedLagrangian` with its integrator, near the solution.
         free: a pytree of bools of the dynamics' shape: which leaves are θ. None at all is allowed.
-        seen: sightings at consecutive frames.
+        seen: observed positions at consecutive frames, image-plane units.
         u: inputs, constant or held per frame.
         dt: seconds between frames.
-        horizons: frames taken into account while only starts are fitted, growing, the last one at most T.
-        constants: values of Φ that all motions share; None: of each, the mean over its sightings.
-        starts: iterations at each horizon.
-        iterations: of starts and θ together, over all frames.
-        scale: s, image-plane units: components xₖ that miss by more count linearly.
+        horizons: numbers of frames used while only initial states are fitted, growing, the last one at most T.
+        constants: values of Φ that all motions share; None: for each motion the mean over its observations.
+        starts: iterations over initial states at each horizon.
+        iterations: over initial states and θ together, all frames.
+        scale: s, image-plane units; errors above it count linearly.
         chunk: trajectories differentiated at a time.
+
+    Returns:
+        The dynamics with the fitted parameters, the fitted paths, and their error.
 
     Raises:
         KeycldError: for another kind of law.
@@ -95,7 +98,7 @@ def fit_motions(
         return jnp.sum(mask[:, None] * scale**2 * (jnp.sqrt(1 + (error / scale) ** 2) - 1))
 
     def pieces(z: Array, theta: Array, x: Array, held: Array, push: Array, mask: Array, together: bool) -> Any:
-        """The normal equations' blocks of one trajectory."""
+        """Compute the blocks of the normal equations of one trajectory."""
         error = path(z, theta, held, push) - x
         weight = (mask[:, None] * jax.lax.rsqrt(1 + (error / scale) ** 2)).reshape(-1)
         error = error.reshape(-1)

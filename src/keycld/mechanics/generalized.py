@@ -32,16 +32,16 @@ class GeneralizedLagrangian(AbstractLagrangian):
     input_matrix: Callable | None = None
 
     def mass_matrix(self, x: Float[Array, "m"]) -> Float[Array, "m m"]:
-        """M(q) = L(q) L(q)ᵀ."""
+        """Return M(q) = L(q) L(q)ᵀ."""
         factor = self.factor(x)
         return gram(factor, factor)
 
     def kinetic_energy(self, x: Float[Array, "m"], v: Float[Array, "m"]) -> Float[Array, ""]:
-        """T = ½ |Lᵀq̇|², eq. (3)."""
+        """Return T = ½ |Lᵀq̇|², eq. (3)."""
         return 0.5 * jnp.sum(times(self.factor(x).T, v) ** 2)
 
     def potential_energy(self, x: Float[Array, "m"]) -> Float[Array, ""]:
-        """V(q)."""
+        """Return V(q)."""
         return self.potential(x)
 
     def acceleration(
@@ -51,7 +51,7 @@ class GeneralizedLagrangian(AbstractLagrangian):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "m"]:
-        """q̈ from eq. (4); `parameters` play no part."""
+        """Return q̈ from eq. (4); `parameters` are not used."""
         matrix, matrix_rate = jax.jvp(self.mass_matrix, (x,), (v,))
         force = jax.grad(lambda q: self.kinetic_energy(q, v) - self.potential(q))(x) - times(matrix_rate, v)
         if self.input_matrix is not None:
@@ -60,7 +60,7 @@ class GeneralizedLagrangian(AbstractLagrangian):
 
 
 class MLPFactor(eqx.Module):
-    """A lower triangular L(q) [m, m] by a perceptron, the identity at first: M = L Lᵀ is never negative."""
+    """A lower triangular L(q) [m, m] by a perceptron, near the identity before training; M = L Lᵀ is never negative."""
 
     perceptron: Perceptron
     dim: int = eqx.field(static=True)
@@ -70,12 +70,12 @@ class MLPFactor(eqx.Module):
         self.dim = dim
 
     def __call__(self, q: Float[Array, "m"]) -> Float[Array, "m m"]:
-        """L(q)."""
+        """Return L(q)."""
         return jnp.eye(self.dim, dtype=q.dtype) + jnp.tril(self.perceptron(q).reshape(self.dim, self.dim))
 
 
 def pulled_back(law: ConstrainedLagrangian, mapping: Callable) -> GeneralizedLagrangian:
-    """The same mechanics in generalised coordinates, through the kinematic chain x = F(q), eq. (7).
+    """Return the same mechanics in generalised coordinates, through the kinematic chain x = F(q), eq. (7).
 
     L(q, q̇) = ½ q̇ᵀ DFᵀM DF q̇ − V(F(q)), and the input matrix DFᵀg(F(q)). F maps into the constraint set, so
     the constraints of `law` hold by themselves and are not used.
@@ -98,7 +98,7 @@ def pulled_back(law: ConstrainedLagrangian, mapping: Callable) -> GeneralizedLag
 
 def _factor(law: ConstrainedLagrangian, mapping: Callable, q: Float[Array, "m"]) -> Float[Array, "m dim"]:
     # M = C Cᵀ, so DFᵀM DF is the square of DFᵀC.
-    factor = jnp.linalg.cholesky(law.mass.matrix)  # pyright: ignore[reportAttributeAccessIssue]
+    factor = jnp.linalg.cholesky(law.mass.matrix)
     return jnp.matmul(jax.jacfwd(mapping)(q).T, jnp.kron(factor, jnp.eye(2)), precision="highest")
 
 

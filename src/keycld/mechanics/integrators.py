@@ -1,11 +1,12 @@
-"""Fixed-step integrators of x'' = a(x, v, u): explicit Euler, mid-point, Runge–Kutta 4, leapfrog."""
+"""Fixed-step integrators: the interface, and Euler, mid-point, Runge–Kutta 4 and leapfrog for x'' = a(x, v, u)."""
 
 import abc
 from typing import Any
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
 
 from keycld._errors import KeycldError
 from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian, combine
@@ -19,57 +20,104 @@ class AbstractIntegrator(eqx.Module):
 
     An integrator may remember what it knows at the end of a sub-step (forces, DΦ), because the next one
     starts there: `begin` makes that memory, `advance` takes one sub-step and renews it.
+
+    What it integrates, `field` below, is an `AbstractLaw` or another `AbstractField`; each integrator says which
+    ones it can follow.
     """
 
     substeps: eqx.AbstractVar[int]
 
     def __check_init__(self):
-        """At least one sub-step."""
+        """Refuse less than one sub-step."""
         if not isinstance(self.substeps, int) or self.substeps < 1:
             raise KeycldError(f"an integrator takes 1 or more sub-steps a frame, not {self.substeps!r}.")
 
     @abc.abstractmethod
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
-        """What `advance` wants to know at the start.
+    def begin(self, field: Any, coordinates: Any, parameters: Parameters, h: Scalar) -> Any:
+        """Return what `advance` needs to know of the initial state.
 
         Raises:
-            KeycldError: for a law that this integrator cannot follow.
+            KeycldError: for a field that this integrator cannot follow.
         """
 
     @abc.abstractmethod
     def advance(
-        self, law: Any, motion: Motion, memory: Any, parameters: Parameters, u: Float[Array, "l"], h: Scalar
-    ) -> tuple[Motion, Any]:
-        """One sub-step of h seconds."""
+        self, field: Any, coordinates: Any, memory: Any, parameters: Parameters, u: Float[Array, "l"], h: Scalar
+    ) -> tuple[Any, Any]:
+        """Take one sub-step of h seconds; return the coordinates and the memory after it."""
 
     def frame(
-        self, law: Any, motion: Motion, memory: Any, parameters: Parameters, u: Float[Array, "l"], dt: Scalar
-    ) -> tuple[Motion, Any]:
-        """All sub-steps of one frame."""
+        self, field: Any, coordinates: Any, memory: Any, parameters: Parameters, u: Float[Array, "l"], dt: Scalar
+    ) -> tuple[Any, Any]:
+        """Take all sub-steps of one frame; return the coordinates and the memory after it."""
         h = dt / self.substeps
         if self.substeps == 1:
-            return self.advance(law, motion, memory, parameters, u, h)
+            return self.advance(field, coordinates, memory, parameters, u, h)
 
         def body(carry, _):
-            return self.advance(law, carry[0], carry[1], parameters, u, h), None
+            return self.advance(field, carry[0], carry[1], parameters, u, h), None
 
-        return jax.lax.scan(body, (motion, memory), length=self.substeps)[0]
+        return jax.lax.scan(body, (coordinates, memory), length=self.substeps)[0]
 
-    def step(self, law: AbstractLaw, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
-        """The state one frame of `dt` seconds later."""
-        motion = state.coordinates
-        memory = self.begin(law, motion, state.parameters, dt / self.substeps)
-        motion, _ = self.frame(law, motion, memory, state.parameters, u, dt)
-        return State(motion, state.parameters)
+    def step(self, field: Any, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
+        """Return the state one frame of `dt` seconds later."""
+        memory = self.begin(field, state.coordinates, state.parameters, dt / self.substeps)
+        coordinates, _ = self.frame(field, state.coordinates, memory, state.parameters, u, dt)
+        return State(coordinates, state.parameters)
+
+    def rollout(
+        self, field: Any, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int
+    ) -> PyTree:
+        """Return the coordinates at `steps` + 1 frames, stacked, the given ones first.
+
+        Args:
+            field: what to integrate.
+            state: the initial state.
+            u: the input, constant [l] or one for each frame interval [steps, l]. For negative dt the latter
+                is read in reverse, so a roll-out back over the same frames takes the same array.
+            dt: seconds between frames.
+            steps: number of frame intervals.
+
+        Raises:
+            KeycldError: if `u` does not fit, or for a field that this integrator cannot follow.
+        """
+        parameters = state.parameters
+        first = state.coordinates
+        memory = self.begin(field, first, parameters, dt / self.substeps)
+
+        def body(carry, u):
+            coordinates, memory = self.frame(field, carry[0], carry[1], parameters, u, dt)
+            return (coordinates, memory), coordinates
+
+        _, rest = jax.lax.scan(body, (first, memory), frame_inputs(u, dt, steps))
+        return stack_first(first, rest)
+
+
+def frame_inputs(u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Float[Array, "steps l"]:
+    """Return the input of each frame interval in the order of integration: reversed for negative dt.
+
+    Raises:
+        KeycldError: if there are not as many as steps.
+    """
+    if u.ndim == 1:
+        return jnp.broadcast_to(u[None, :], (steps, u.shape[0]))
+    if u.shape[0] != steps:
+        raise KeycldError(f"a roll-out of {steps} steps needs {steps} inputs, not {u.shape[0]}: cut or extend u.")
+    return jnp.where(jnp.asarray(dt) < 0, u[::-1], u)
+
+
+def stack_first(first: PyTree, rest: PyTree) -> PyTree:
+    """Stack coordinates in front of those that are stacked already."""
+    return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
 
 
 class Euler(AbstractIntegrator):
-    """Explicit Euler: x' = x + h v, v' = v + h a(x, v). Order 1; gains energy. The 2024 paper's roll-outs."""
+    """Explicit Euler: x' = x + h v, v' = v + h a(x, v). Order 1; gains energy. The 2024 version's loss uses it."""
 
     substeps: int = eqx.field(static=True, default=1)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
-        """Nothing to remember."""
+        """Return None: there is nothing to remember."""
 
     def advance(
         self,
@@ -80,18 +128,18 @@ class Euler(AbstractIntegrator):
         u: Float[Array, "l"],
         h: Scalar,
     ) -> tuple[Motion, None]:
-        """One step."""
+        """Take one step."""
         x, v = motion
         return Motion(x + h * v, v + h * law.acceleration(x, v, u, parameters)), None
 
 
 class RK2(AbstractIntegrator):
-    """The mid-point rule, order 2: the derivative half a step of Euler ahead serves for the whole step."""
+    """The mid-point rule, order 2: the derivative after half a step of Euler serves for the whole step."""
 
     substeps: int = eqx.field(static=True, default=1)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
-        """Nothing to remember."""
+        """Return None: there is nothing to remember."""
 
     def advance(
         self,
@@ -102,7 +150,7 @@ class RK2(AbstractIntegrator):
         u: Float[Array, "l"],
         h: Scalar,
     ) -> tuple[Motion, None]:
-        """One step."""
+        """Take one step."""
         x, v = motion
         middle = v + h / 2 * law.acceleration(x, v, u, parameters)
         slope = law.acceleration(x + h / 2 * v, middle, u, parameters)
@@ -115,7 +163,7 @@ class RK4(AbstractIntegrator):
     substeps: int = eqx.field(static=True, default=1)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
-        """Nothing to remember."""
+        """Return None: there is nothing to remember."""
 
     def advance(
         self,
@@ -126,7 +174,7 @@ class RK4(AbstractIntegrator):
         u: Float[Array, "l"],
         h: Scalar,
     ) -> tuple[Motion, None]:
-        """One step."""
+        """Take one step."""
         x, v = motion
         a1 = law.acceleration(x, v, u, parameters)
         v2 = v + h / 2 * a1
@@ -149,7 +197,7 @@ class Leapfrog(AbstractIntegrator):
     substeps: int = eqx.field(static=True, default=1)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
-        """∇V and g at the start.
+        """Return ∇V and g at the initial position.
 
         Raises:
             KeycldError: for a law with constraints or damping.
@@ -169,7 +217,7 @@ class Leapfrog(AbstractIntegrator):
         u: Float[Array, "l"],
         h: Scalar,
     ) -> tuple[Motion, Any]:
-        """One step."""
+        """Take one step."""
         middle = motion.v + h / 2 * law.over_mass(combine(memory, u))
         x = motion.x + h * middle
         fields = law.fields(x)

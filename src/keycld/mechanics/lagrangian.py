@@ -4,7 +4,6 @@ import abc
 from collections.abc import Callable
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -12,10 +11,12 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics.constraints import AbstractConstraint, as_constraint
 from keycld.mechanics.linear import gram, solve_positive, times
+from keycld.mechanics.masses import AbstractMassMatrix
+from keycld.mechanics.state import AbstractField, Motion
 
 
-class AbstractLaw(eqx.Module):
-    """A law of motion of second order."""
+class AbstractLaw(AbstractField):
+    """A law of motion of second order, x'' = a(x, x', u)."""
 
     @abc.abstractmethod
     def acceleration(
@@ -25,7 +26,19 @@ class AbstractLaw(eqx.Module):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """a(x, v, u)."""
+        """Return a(x, v, u).
+
+        Args:
+            x: positions, flattened.
+            v: velocities, units per second.
+            u: the input [l].
+            parameters: those of the trajectory's state.
+        """
+
+    def derivative(self, coordinates: Motion, u: Float[Array, "l"], parameters: dict[str, Any] | None = None) -> Motion:
+        """Return (v, a): the law as an equation of first order."""
+        x, v = coordinates
+        return Motion(v, self.acceleration(x, v, u, parameters))
 
 
 class AbstractLagrangian(AbstractLaw):
@@ -33,14 +46,14 @@ class AbstractLagrangian(AbstractLaw):
 
     @abc.abstractmethod
     def kinetic_energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
-        """T(x, v)."""
+        """Return T(x, v)."""
 
     @abc.abstractmethod
     def potential_energy(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
-        """V(x)."""
+        """Return V(x)."""
 
     def energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
-        """T + V."""
+        """Return T + V."""
         return self.kinetic_energy(x, v) + self.potential_energy(x)
 
 
@@ -55,8 +68,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
     M, V, g (and D) are determined only up to one common factor, which cancels here.
 
     Args:
-        mass: a module with `matrix` [K, K] and its `inverse`, for instance `PointMasses`; M is its Kronecker product
-            with I₂.
+        mass: for instance `PointMasses`; M is its matrix [K, K] times I₂ (Kronecker product).
         potential: V, a callable x [2K] → number.
         input_matrix: g, a callable x [2K] → [2K, l]; None where there is no input.
         constraint: an `AbstractConstraint`, or a plain function `(x, parameters)` → [n]; None for free
@@ -67,7 +79,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
         KeycldError: if the constraint or the damping belongs to another number of keypoints.
     """
 
-    mass: eqx.Module
+    mass: AbstractMassMatrix
     potential: Callable
     input_matrix: Callable | None
     constraint_function: AbstractConstraint
@@ -91,15 +103,15 @@ class ConstrainedLagrangian(AbstractLagrangian):
 
         Their sum is what resists when all keypoints move together.
         """
-        return jnp.sum(self.mass.matrix, axis=1)  # pyright: ignore[reportAttributeAccessIssue]
+        return jnp.sum(self.mass.matrix, axis=1)
 
     def times_mass(self, v: Float[Array, "*n dim"]) -> Float[Array, "*n dim"]:
-        """M v, for a vector or the rows of a matrix."""
-        return _by_keypoint(self.mass.matrix, v)  # pyright: ignore[reportAttributeAccessIssue]
+        """Return M v, for a vector or the rows of a matrix."""
+        return _by_keypoint(self.mass.matrix, v)
 
     def over_mass(self, f: Float[Array, "*n dim"]) -> Float[Array, "*n dim"]:
-        """M⁻¹ f, for a vector or the rows of a matrix."""
-        return _by_keypoint(self.mass.inverse, f)  # pyright: ignore[reportAttributeAccessIssue]
+        """Return M⁻¹ f, for a vector or the rows of a matrix."""
+        return _by_keypoint(self.mass.inverse, f)
 
     @property
     def count(self) -> int:
@@ -108,7 +120,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
 
     @property
     def freedom(self) -> int:
-        """Degrees of freedom of constraints that do not repeat each other; at least one."""
+        """Degrees of freedom where no constraint repeats another; at least one."""
         return max(1, 2 * self.masses.shape[0] - self.count)
 
     @property
@@ -120,31 +132,31 @@ class ConstrainedLagrangian(AbstractLagrangian):
     def damping_matrix(self) -> Float[Array, "K K"]:
         """L Lᵀ [K, K], zero without dissipation; D is its Kronecker product with I₂."""
         if self.damping is None:
-            return jnp.zeros_like(self.mass.inverse)  # pyright: ignore[reportAttributeAccessIssue]
+            return jnp.zeros_like(self.mass.inverse)
         lower = jnp.tril(self.damping)
         return gram(lower, lower)
 
     @property
-    def inputs(self) -> int | None:
-        """How many inputs it takes, the columns of g; None where they do nothing and any number will do."""
+    def inputs(self) -> int:
+        """l, the columns of g; 0 without an input matrix, where the acceleration ignores u."""
         if self.input_matrix is None:
-            return None
+            return 0
         return jax.eval_shape(self.input_matrix, jnp.zeros(2 * self.masses.shape[0])).shape[1]
 
     def constraint(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
-        """Φ(x)."""
+        """Return Φ(x)."""
         return self.constraint_function(x, parameters)
 
     def jacobian(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n dim"]:
-        """DΦ(x)."""
+        """Return DΦ(x)."""
         return jax.jacfwd(self.constraint)(x, parameters)
 
     def force(self, x: Float[Array, "dim"], u: Float[Array, "l"]) -> Float[Array, "dim"]:
-        """Force −∇V(x) + g(x) u, without damping."""
+        """Return the force −∇V(x) + g(x) u, without damping."""
         return combine(self.fields(x), u)
 
     def fields(self, x: Float[Array, "dim"]) -> tuple[Float[Array, "dim"], Float[Array, "dim l"] | None]:
-        """∇V(x) and g(x): what an integrator keeps of a position, whatever the input will be."""
+        """Return ∇V(x) and g(x): what an integrator keeps of a position, whatever the input will be."""
         return jax.grad(self.potential)(x), None if self.input_matrix is None else self.input_matrix(x)
 
     def acceleration(
@@ -154,7 +166,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """Acceleration by eq. (6), with −D v among the forces.
+        """Compute the acceleration by eq. (6), with −D v among the forces.
 
         The linear system is solved by a damped Cholesky factorisation: redundant constraints and vanishing
         Jacobians give finite accelerations. ⟨D²Φ, v⟩v is a Jacobian-vector product of one.
@@ -176,17 +188,17 @@ class ConstrainedLagrangian(AbstractLagrangian):
         return free - times(pull.T, multipliers)
 
     def kinetic_energy(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:
-        """T = ½ vᵀMv; the positions do not matter."""
+        """Return T = ½ vᵀMv; it does not depend on the positions."""
         return 0.5 * jnp.sum(v * self.times_mass(v))
 
     def potential_energy(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
-        """V(x)."""
+        """Return V(x)."""
         return self.potential(x)
 
     def project_velocity(
         self, x: Float[Array, "dim"], v: Float[Array, "dim"], parameters: dict[str, Any] | None = None
     ) -> Float[Array, "dim"]:
-        """The nearest velocity that the constraints allow: onto ker DΦ(x) in the mass metric, so DΦ v = 0."""
+        """Project a velocity on ker DΦ(x) in the mass metric: the nearest one that the constraints allow, DΦ v = 0."""
         return tangential(self, self.jacobian(x, parameters), v)
 
     def project_position(
@@ -196,7 +208,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
         parameters: dict[str, Any] | None = None,
         iterations: int = 3,
     ) -> Float[Array, "dim"]:
-        """A near position with Φ(x) = constants, by damped Gauss–Newton iterations in the mass metric."""
+        """Return a near position with Φ(x) = constants, by damped Gauss–Newton iterations in the mass metric."""
         for _ in range(iterations if constants.shape[0] else 0):
             jacobian = self.jacobian(x, parameters)
             pull = self.over_mass(jacobian)
@@ -208,7 +220,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
 def combine(
     fields: tuple[Float[Array, "dim"], Float[Array, "dim l"] | None], u: Float[Array, "l"]
 ) -> Float[Array, "dim"]:
-    """Force −∇V + g u from the two fields at a position."""
+    """Return the force −∇V + g u from the two fields at a position."""
     gradient, matrix = fields
     return -gradient if matrix is None else times(matrix, u) - gradient
 
@@ -216,7 +228,7 @@ def combine(
 def tangential(
     law: ConstrainedLagrangian, jacobian: Float[Array, "n dim"], v: Float[Array, "dim"]
 ) -> Float[Array, "dim"]:
-    """Project on ker DΦ in the mass metric: v − M⁻¹DΦᵀ(DΦ M⁻¹ DΦᵀ)⁻¹DΦ v."""
+    """Project v on ker DΦ in the mass metric: v − M⁻¹DΦᵀ(DΦ M⁻¹ DΦᵀ)⁻¹DΦ v."""
     if jacobian.shape[0] == 0:
         return v
     pull = law.over_mass(jacobian)
@@ -224,7 +236,7 @@ def tangential(
 
 
 def _by_keypoint(matrix: Float[Array, "K K"], vectors: Float[Array, "*n dim"]) -> Float[Array, "*n dim"]:
-    """(matrix ⊗ I₂) applied to vectors or rows, as a sum of products that XLA fuses."""
+    """Apply (matrix ⊗ I₂) to a vector or rows, as a sum of products that XLA fuses."""
     split = vectors.reshape(*vectors.shape[:-1], 1, -1, 2)
     shape = (1,) * (vectors.ndim - 1) + (*matrix.shape, 1)
     return jnp.sum(matrix.reshape(shape) * split, axis=-2).reshape(vectors.shape)

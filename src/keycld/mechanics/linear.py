@@ -22,10 +22,10 @@ class Factors(NamedTuple):
 
 
 def _damped_inverse(pivot: Array, scale: Array) -> Array:
-    """1/pivot, falling to zero where the pivot is lost in rounding beside `scale`, the untouched diagonal.
+    """Return 1/pivot, or nearly zero where rounding has lost the pivot compared with `scale`, the diagonal element.
 
-    With r = pivot/scale it is r³/(r⁴ + ε⁴)/scale: exact for a sound pivot, nothing for a lost one, so a
-    redundant constraint gets no multiplier instead of a random one; smooth between.
+    With r = pivot/scale it is r³/(r⁴ + ε⁴)/scale: 1/pivot for a sound pivot, zero for a lost one, smooth between.
+    So a redundant constraint gets no multiplier instead of a random one.
     """
     epsilon = float(jnp.finfo(pivot.dtype).eps) ** (2 / 3)
     sound = scale > float(jnp.finfo(pivot.dtype).tiny) ** 0.5
@@ -35,12 +35,12 @@ def _damped_inverse(pivot: Array, scale: Array) -> Array:
 
 
 def factor(matrix: Float[Array, "n n"], reference: list[Array] | None = None) -> Factors:
-    """Factors of a positive (semi-)definite matrix, or of one near to such a matrix.
+    """Factorise a positive (semi-)definite matrix, or one near to such a matrix.
 
     Args:
         matrix: symmetric positive semi-definite, or, with `reference`, a matrix not far from one.
         reference: inverse pivots of the near positive matrix. Pivots are then kept above half of the
-            reference ones, which bounds a Newton step that was taken too far from its start.
+            reference ones, which bounds a Newton step far from the point of the reference.
     """
     n = matrix.shape[0]
     upper = [[matrix[i, j] for j in range(n)] for i in range(n)]
@@ -62,7 +62,7 @@ def factor(matrix: Float[Array, "n n"], reference: list[Array] | None = None) ->
 
 
 def substitute(factors: Factors, b: Float[Array, "n"]) -> Float[Array, "n"]:
-    """The solution of the factored system for one right-hand side."""
+    """Solve the factored system for one right-hand side."""
     n = b.shape[0]
     if n == 0:
         return b
@@ -107,10 +107,10 @@ def solve_positive(a: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array,
 
 
 def times(matrix: Float[Array, "n m"], vector: Float[Array, "m"]) -> Float[Array, "n"]:
-    """Product of a matrix and a vector as a sum: full float32 on every device, fused with its neighbours."""
+    """Multiply a matrix and a vector as a sum: full float32 on every device, fused with its neighbours."""
     return jnp.sum(matrix * vector[None, :], axis=1)
 
 
 def gram(left: Float[Array, "n m"], right: Float[Array, "k m"]) -> Float[Array, "n k"]:
-    """Products of all rows, left · rightᵀ, as a sum of products."""
+    """Multiply all rows, left · rightᵀ, as a sum of products."""
     return jnp.sum(left[:, None, :] * right[None, :, :], axis=2)

@@ -15,7 +15,7 @@ from keycld.mechanics.state import Motion, Scalar
 
 
 class Memory(NamedTuple):
-    """What a sub-step knows of the position it starts from."""
+    """What a sub-step knows of its first position."""
 
     fields: Any
     jacobian: Float[Array, "n dim"]
@@ -41,16 +41,20 @@ class Rattle(AbstractIntegrator):
     iterations: int = eqx.field(static=True, default=3)
 
     def __check_init__(self):
-        """At least one iteration."""
+        """Refuse less than one iteration."""
         check_iterations(self.iterations)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Memory:
-        """Fields, DΦ and the decay of half a sub-step."""
+        """Return the fields, DΦ and the decay of half a sub-step.
+
+        Raises:
+            KeycldError: for a law that is not a `ConstrainedLagrangian`.
+        """
         if not isinstance(law, ConstrainedLagrangian):
             raise KeycldError(f"RATTLE integrates point masses, not a {type(law).__name__}: use RK4.")
         decay = None
         if law.dissipative:
-            inverse = law.mass.inverse  # pyright: ignore[reportAttributeAccessIssue]
+            inverse = law.mass.inverse
             rate = jnp.matmul(inverse, law.damping_matrix, precision="highest")
             decay = jax.scipy.linalg.expm(-h / 2 * rate)
         return Memory(law.fields(motion.x), law.jacobian(motion.x, parameters), decay)
@@ -64,7 +68,7 @@ class Rattle(AbstractIntegrator):
         u: Float[Array, "l"],
         h: Scalar,
     ) -> tuple[Motion, Memory]:
-        """One step."""
+        """Take one step."""
         fields, jacobian, decay = memory
         v = _damp(law, jacobian, decay, motion.v)
         start = Motion(motion.x, v + h / 2 * law.over_mass(combine(fields, u)))

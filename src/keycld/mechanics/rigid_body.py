@@ -1,4 +1,4 @@
-"""Rigid bodies of the plane as sets of point masses, both ways (paper, appendix A.3)."""
+"""Rigid bodies of the plane as point masses, and back (paper, appendix A.3)."""
 
 from typing import NamedTuple
 
@@ -35,11 +35,11 @@ class PointPair(NamedTuple):
 
 
 def two_point_masses(body: RigidBody, first: Float[np.ndarray, "2"]) -> PointPair:
-    """The two point masses that move like a rigid body, one of them at a point of your choice.
+    """Compute the two point masses that move like a rigid body, one of them at a point of your choice.
 
     Eq. (28) has four equations for six unknowns. The position of the first point, at distance r₁ from the
-    centre, takes the two that are free; the second lies on the other side at r₂ = I/(m r₁) (the centre of
-    percussion), and m₁ = m r₂/(r₁ + r₂), m₂ = m r₁/(r₁ + r₂). Put the first one where the body is hung.
+    centre, fixes the two that are free; the second lies on the other side at r₂ = I/(m r₁) (the centre of
+    percussion), and m₁ = m r₂/(r₁ + r₂), m₂ = m r₁/(r₁ + r₂). Put the first one at the pivot.
 
     Args:
         body: mass, inertia and centre, in any consistent units.
@@ -66,7 +66,7 @@ def two_point_masses(body: RigidBody, first: Float[np.ndarray, "2"]) -> PointPai
 
 
 def rigid_body(masses: Float[np.ndarray, "K"], points: Float[np.ndarray, "K 2"]) -> RigidBody:
-    """The rigid body that K rigidly connected point masses make up, by the sums of eq. (28).
+    """Compute the rigid body that K rigidly connected point masses form, by the sums of eq. (28).
 
     Args:
         masses: m [K], not negative, not all zero.

@@ -1,4 +1,4 @@
-"""A law of motion without any physics in it: the second-order neural differential equation."""
+"""A law of motion without physics: the second-order neural differential equation."""
 
 from typing import Any
 
@@ -12,8 +12,14 @@ from keycld.mechanics.networks import Perceptron
 class SecondOrderNetwork(AbstractLaw):
     """a = perceptron(x, v, u) with three hidden layers: NODE2 of the paper's ablation (appendix A.4).
 
-    It knows neither energies nor constraints. The paper's layers have 64 units, CELU between them, and kernels that
-    start as N(0, 0.01²).
+    It has neither energies nor constraints. The paper's layers have 64 units, CELU between them, and kernels from
+    N(0, 0.01²) before training.
+
+    Args:
+        dim: number of coordinates, 2K.
+        inputs: l.
+        width: units of a hidden layer.
+        key: for the kernels.
     """
 
     perceptron: Perceptron
@@ -23,7 +29,7 @@ class SecondOrderNetwork(AbstractLaw):
 
     @property
     def inputs(self) -> int:
-        """How many inputs it takes: what the first layer has beside x and v, which are as long as a."""
+        """l: what the first layer takes in addition to x and v, which are as long as a."""
         return self.perceptron.kernels[0].shape[0] - 2 * self.perceptron.biases[-1].shape[0]
 
     def acceleration(
@@ -33,5 +39,5 @@ class SecondOrderNetwork(AbstractLaw):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """a(x, v, u); `parameters` play no part."""
+        """Return a(x, v, u); `parameters` are not used."""
         return self.perceptron(jnp.concatenate([x, v, u]))

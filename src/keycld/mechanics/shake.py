@@ -14,8 +14,8 @@ from keycld.mechanics.linear import factor, gram, substitute, times
 from keycld.mechanics.state import Motion, Scalar
 
 _LARGEST_TURN = 0.5
-"""Radians that a drift may turn a part by. One part has no solution beyond 90°, two that turn against each other
-none beyond half of it."""
+"""Largest angle, radians, by which a drift may turn a part. One part has no solution beyond 90°, two parts that turn
+against each other none beyond 45°."""
 
 
 def constrained_drift(
@@ -28,12 +28,15 @@ def constrained_drift(
 ) -> Motion:
     """Drift for h seconds onto the constraints: v' = v + M⁻¹DΦ(x)ᵀλ, x' = x + h v', Φ(x') = constants.
 
-    λ starts from the constraints linearised at x and takes steps of Newton's method, with the exact matrix
+    The first λ solves the constraints linearised at x; steps of Newton's method follow, with the exact matrix
     DΦ(x') M⁻¹ DΦ(x)ᵀ. Derivatives flow through the last step alone: first derivatives are those of the
     implicit function theorem at the price of one step; second ones are not right.
 
-    A drift that turns a part too far (0.5 rad, as the change of DΦ tells), or that starts too far off the
-    constants, is shortened to what it can do: the result is finite, only slow. Sub-steps are the mend.
+    A drift that turns a part by more than 0.5 rad (measured by the change of DΦ), or whose first position is too far
+    off the constants, is shortened to that limit: the result is finite, but too slow. More sub-steps avoid this.
+
+    Raises:
+        KeycldError: if the parameters have no `constants`.
     """
     x, v = motion
     if jacobian.shape[0] == 0:
@@ -41,7 +44,7 @@ def constrained_drift(
     if "constants" not in parameters:
         raise KeycldError(
             "SHAKE and RATTLE hold Φ at the constants of the state, but its parameters have no 'constants': "
-            "add law.constraint(x, parameters) of the start."
+            "add law.constraint(x, parameters) of the initial state."
         )
     pull = law.over_mass(jacobian)
     value = law.constraint(x, parameters)
@@ -56,13 +59,13 @@ def constrained_drift(
 
 
 def check_iterations(iterations: int) -> None:
-    """Refuse a number of iterations that is no number of iterations."""
+    """Refuse anything but a whole number of iterations, at least one."""
     if not isinstance(iterations, int) or iterations < 1:
         raise KeycldError(f"Newton's method takes 1 or more iterations a sub-step, not {iterations!r}.")
 
 
 def _multipliers(law, x, v, jacobian, pull, offset, parameters, h, iterations):
-    """The share of the drift that can be done, λ before the last step of Newton's method, and its matrix."""
+    """Return the share of the drift that is possible, λ before the last step of Newton's method, and its matrix."""
     straight = factor(gram(jacobian, pull))
     linear = substitute(straight, offset / h - times(jacobian, v))
     bent = law.jacobian(x + h * (v + times(pull.T, linear)), parameters) - jacobian
@@ -87,8 +90,8 @@ class Shake(AbstractIntegrator):
 
     v½ = v + h/2 M⁻¹f(x) + M⁻¹DΦ(x)ᵀλ,   x' = x + h v½ with Φ(x') = constants,   v' = v½ + h/2 M⁻¹f(x').
 
-    Order 2, symplectic, reversible. The velocity keeps a part along the constraint forces, which the next λ
-    absorbs: read positions from a roll-out, and energies only after `law.project_velocity`.
+    Order 2, symplectic, reversible. The velocity keeps a component along the constraint forces, which the next λ
+    removes: read positions from a roll-out, and energies only after `law.project_velocity`.
 
     Attributes:
         substeps: steps a frame.
@@ -99,14 +102,14 @@ class Shake(AbstractIntegrator):
     iterations: int = eqx.field(static=True, default=3)
 
     def __check_init__(self):
-        """At least one iteration."""
+        """Refuse less than one iteration."""
         check_iterations(self.iterations)
 
     def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
-        """Fields and DΦ at the start.
+        """Return the fields and DΦ at the initial position.
 
         Raises:
-            KeycldError: for a law with damping.
+            KeycldError: for a law with damping, or one that is not a `ConstrainedLagrangian`.
         """
         if not isinstance(law, ConstrainedLagrangian):
             raise KeycldError(f"SHAKE integrates point masses, not a {type(law).__name__}: use RK4.")
@@ -125,7 +128,7 @@ class Shake(AbstractIntegrator):
         u: Float[Array, "l"],
         h: Scalar,
     ) -> tuple[Motion, Any]:
-        """One step."""
+        """Take one step."""
         fields, jacobian = memory
         start = Motion(motion.x, motion.v + h / 2 * law.over_mass(combine(fields, u)))
         x, middle = constrained_drift(law, start, jacobian, parameters, h, self.iterations)

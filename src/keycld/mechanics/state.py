@@ -1,7 +1,7 @@
-"""What evolves and what stays: the state of a system, and the interface of all that moves it."""
+"""What evolves and what stays: the state of a system, and the interfaces of what moves it."""
 
 import abc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 from jaxtyping import Array, Float, PyTree
@@ -22,17 +22,43 @@ class Motion(NamedTuple):
     v: Float[Array, "dim"]
 
 
+class PhasePoint(NamedTuple):
+    """A point of phase space.
+
+    Attributes:
+        q: generalised coordinates.
+        p: momenta conjugate to them.
+    """
+
+    q: Float[Array, "m"]
+    p: Float[Array, "m"]
+
+
 class State(eqx.Module):
     """A state: `coordinates` evolve, `parameters` are constant along a trajectory.
 
     Attributes:
-        coordinates: any pytree of arrays; mechanical dynamics use a `Motion`.
+        coordinates: any pytree of arrays; laws of second order use a `Motion`, Hamiltonians a `PhasePoint`.
         parameters: arrays by name. RATTLE and SHAKE read `constants`, the values Φ [n] that the constraints
-            keep; a constraint may read others, as a pivot that differs between trajectories.
+            keep; a constraint may read others, such as a pivot that differs between trajectories.
     """
 
     coordinates: PyTree
     parameters: dict[str, Array]
+
+
+class AbstractField(eqx.Module):
+    """An autonomous differential equation of first order, ds/dt = F(s, u)."""
+
+    @abc.abstractmethod
+    def derivative(self, coordinates: PyTree, u: Float[Array, "l"], parameters: dict[str, Any] | None = None) -> PyTree:
+        """Return F(s, u), a pytree like `coordinates`.
+
+        Args:
+            coordinates: s, a pytree of arrays.
+            u: the input [l].
+            parameters: those of the trajectory's state.
+        """
 
 
 class AbstractDynamics(eqx.Module):
@@ -40,4 +66,4 @@ class AbstractDynamics(eqx.Module):
 
     @abc.abstractmethod
     def step(self, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
-        """The state one frame of `dt` seconds later, with the input `u` held; `dt` may be negative."""
+        """Return the state one frame of `dt` seconds later, with the input `u` held; `dt` may be negative."""

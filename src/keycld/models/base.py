@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.mechanics import ConstrainedLagrangian, State
+from keycld.mechanics import AbstractDynamics, ConstrainedLagrangian, State
 from keycld.vision import Observation
 
 
@@ -177,7 +177,13 @@ class HasInputMatrix(eqx.Module):
 
 
 class HasLagrangian(HasEnergies, HasConstraints, HasInputMatrix):
-    """A model that is moved by a constrained Lagrangian in Cartesian coordinates, eq. (6); controllers shape it."""
+    """A model that is moved by a constrained Lagrangian in Cartesian coordinates, eq. (6); controllers shape it.
+
+    Attributes:
+        dynamics: the law with its integrator, one step a frame.
+    """
+
+    dynamics: eqx.AbstractVar[AbstractDynamics]
 
     @property
     @abstractmethod

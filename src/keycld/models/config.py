@@ -6,7 +6,7 @@ import difflib
 import json
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
@@ -55,7 +55,7 @@ class ModelConfig(abc.ABC):
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return what is trained, in order."""
 
-    def completed(self, source: Any = None) -> Self:
+    def completed(self, source: Any = None) -> "ModelConfig":
         """Return the config with what it takes from the data set or system `source`, such as constraints.
 
         Without a source a config completes itself with an example, enough to build and count.
@@ -71,7 +71,7 @@ class ModelConfig(abc.ABC):
         fields = json.loads(json.dumps(dataclasses.asdict(self)))
         return {name: value for name, value in fields.items() if name not in ("model", "preset")}
 
-    def changed(self, settings: Mapping[str, Any]) -> Self:
+    def changed(self, settings: Mapping[str, Any]) -> "ModelConfig":
         """Return the config with some settings replaced.
 
         Args:

@@ -1,4 +1,4 @@
-"""A controlled flight as a movie, as a strip of pictures (the paper's Fig. 5) and as curves."""
+"""A closed-loop run as a movie, as a strip of pictures (the paper's Fig. 5) and as curves."""
 
 from pathlib import Path
 
@@ -25,17 +25,17 @@ _FRAMES_PER_SECOND = 25.0
 
 
 def write_control_media(folder: Path, name: str, result: Evaluation) -> tuple[Path, Path, Path]:
-    """Write `media/NAME.mp4`, `media/NAME-strip.png` and `media/NAME.png` of the first start; returns their paths."""
+    """Write `media/NAME.mp4`, `media/NAME-strip.png` and `media/NAME.png` of the first trial; return their paths."""
     media = folder / "media"
     paths = (media / f"{name}.mp4", media / f"{name}-strip.png", media / f"{name}.png")
-    save_movie(paths[0], flight_frames(result), _FRAMES_PER_SECOND, scale=1)
-    save_image(paths[1], flight_strip(result))
-    save_figure(paths[2], flight_figure(result))
+    save_movie(paths[0], trial_frames(result), _FRAMES_PER_SECOND, scale=1)
+    save_image(paths[1], trial_strip(result))
+    save_figure(paths[2], trials_figure(result))
     return paths
 
 
-def flight_frames(result: Evaluation, scale: int = 4) -> np.ndarray:
-    """What the camera saw with the believed keypoints, the goal beside it, in real time at 25 pictures a second.
+def trial_frames(result: Evaluation, scale: int = 4) -> np.ndarray:
+    """Return the first trial's pictures with the estimated keypoints, next to the goal, 25 a second in real time.
 
     The bar below is green while the goal is kept.
     """
@@ -43,13 +43,13 @@ def flight_frames(result: Evaluation, scale: int = 4) -> np.ndarray:
     step = max(1, round(1 / (_FRAMES_PER_SECOND * result.scores["dt"])))
     index = np.arange(0, len(frames), step)
     keypoints = x[index].reshape(len(index), -1, 2).astype(np.float64)
-    seen = overlay_keypoints(frames[index], keypoints, scale, trail=6)
+    pictures = overlay_keypoints(frames[index], keypoints, scale, trail=6)
     goal = np.repeat(enlarge(result.arrays["goal_frame"][None], scale), len(index), axis=0)
-    return overlay_timeline(side_by_side([seen, goal]), result.arrays["good"][0][index], height=2 * scale)
+    return overlay_timeline(side_by_side([pictures, goal]), result.arrays["good"][0][index], height=2 * scale)
 
 
-def flight_strip(result: Evaluation, scale: int = 2) -> np.ndarray:
-    """Pictures from the start to the end and the goal last, with their times (the layout of the paper's Fig. 5)."""
+def trial_strip(result: Evaluation, scale: int = 2) -> np.ndarray:
+    """Return pictures from the first to the last frame, then the goal, with times (as in the paper's Fig. 5)."""
     frames = result.arrays["frames"]
     index = np.round(np.linspace(0, len(frames) - 1, _PICTURES)).astype(int)
     row = np.concatenate([frames[index], result.arrays["goal_frame"][None]])
@@ -57,8 +57,8 @@ def flight_strip(result: Evaluation, scale: int = 2) -> np.ndarray:
     return labelled_sheet([row], [""], heads, scale)
 
 
-def flight_figure(result: Evaluation) -> Figure:
-    """Tilts of all starts, inputs of the first, and its energies where the controller shapes them."""
+def trials_figure(result: Evaluation) -> Figure:
+    """Plot the tilts of all trials, the inputs of the first, and its energies where the controller shapes them."""
     dt = result.scores["dt"]
     tilts, inputs = np.degrees(result.arrays["tilts"]), result.arrays["input"][0]
     time = dt * np.arange(inputs.shape[0])

@@ -1,4 +1,4 @@
-"""The part of the page on control: who was brought where, how well, how fast."""
+"""The part of the page on control: success, inputs, timing, and the first trial in pictures."""
 
 from typing import Any
 
@@ -6,9 +6,9 @@ from keycld.evaluation import Evaluation
 from keycld.reports import control_figures, html
 from keycld.reports.run import Run
 
-_LAWS = {
+_TITLES = {
     "shaping": "energy shaping",
-    "paper": "energy shaping, eq. (15) to the letter",
+    "paper": "energy shaping, eq. (15) as printed",
     "mpc": "planned motions, tracked",
     "zero": "no input",
     "random": "random input",
@@ -16,21 +16,20 @@ _LAWS = {
 
 
 def control(run: Run) -> str:
-    """Movie, strip, curves and figures of each controlled flight; nothing where there is none."""
+    """Return movie, strip and curves of each closed-loop run; nothing where there is none."""
     if not run.controls:
         return ""
     note = (
         "The learned energies close a loop: the camera’s picture gives keypoints, the learned dynamics turn them into "
-        "positions and velocities, and the controller pushes the simulated system towards the pose of one goal "
-        "picture. It is never told an angle. A start counts as a success when the goal is kept during the whole last "
-        "second."
+        "positions and velocities, and the controller drives the simulated system to the pose of one goal picture. It "
+        "never receives a true state. A trial is a success when the goal is kept during the whole last second."
     )
     rows = [_row(result.scores) for result in run.controls.values()]
     head = ["control", "acting", "limit of u", "successes", "largest u", "step, median", "99th percentile", "misses"]
     parts = [html.paragraph(note), html.table(head, rows, "scores")]
     for name, result in run.controls.items():
-        if result.scores["law"] in ("shaping", "paper", "mpc"):
-            parts.append(_flight(run, name, result))
+        if result.scores["law"] not in ("zero", "random"):
+            parts.append(_trial(run, name, result))
     return html.section("control", "Control from pixels", "".join(parts))
 
 
@@ -50,42 +49,42 @@ def _row(scores: dict[str, Any]) -> list[str]:
 
 
 def _title(scores: dict[str, Any]) -> str:
-    words = [str(_LAWS.get(scores["law"], scores["law"]))]
+    words = [str(_TITLES.get(scores["law"], scores["law"]))]
     disturbance = scores["disturbance"]
     if disturbance["noise"]:
         words.append(f"{100 * disturbance['noise']:.0f} % noise")
     if disturbance["dropped"]:
         words.append(f"{100 * disturbance['dropped']:.0f} % of frames dropped")
-    if scores["observer"] != "predict-correct":
+    if scores["estimator"] != "predict-correct":
         words.append("velocity by differences")
     if scores["goal"] != "upright":
         words.append("goal from a picture")
     return ", ".join(words)
 
 
-def _flight(run: Run, name: str, result: Evaluation) -> str:
+def _trial(run: Run, name: str, result: Evaluation) -> str:
     scores = result.scores
     movie, _, _ = control_figures.write_control_media(run.folder, name, result)
-    frames = control_figures.flight_frames(result)
-    strip = control_figures.flight_strip(result)
+    frames = control_figures.trial_frames(result)
+    strip = control_figures.trial_strip(result)
     settled = scores["settled_seconds"][0]
-    caption = f"{html.text(_title(scores))}: the first start, beside the goal. The bar is green while the goal is kept"
+    caption = f"{html.text(_title(scores))}: the first trial, next to the goal. The bar is green while the goal is kept"
     caption += "." if settled is None else f", from {settled:.1f} s to the end."
     parts = [
         html.figure(html.movie(movie, frames[-1], None, "Camera picture with keypoints, and the goal"), caption),
-        html.figure(html.image(strip, "Pictures from the start to the end, and the goal"), "Compare Fig. 5."),
-        html.figure(html.chart(control_figures.flight_figure(result), name), _curves_caption(scores)),
+        html.figure(html.image(strip, "Pictures from the first to the last frame, and the goal"), "Compare Fig. 5."),
+        html.figure(html.chart(control_figures.trials_figure(result), name), _curves_caption(scores)),
     ]
     return "".join(parts)
 
 
 def _curves_caption(scores: dict[str, Any]) -> str:
-    words = f"Tilts: median and 10th to 90th percentile of {scores['n']} starts. Inputs: the first start."
+    words = f"Tilts: median and 10th to 90th percentile of {scores['n']} trials. Inputs: the first trial."
     if "passivity" in scores:
         rise = 100 * scores["passivity"]["largest_rise_median"]
         words += (
-            f" In a passive loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % of the "
-            "flight’s largest value (median). Mean learned mass: "
+            f" In a passive loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % of its "
+            "largest value (median of trials). Mean learned mass: "
             f"{html.number(scores['mean_mass'])}, an arbitrary scale that only the paper’s law depends on."
         )
     return words

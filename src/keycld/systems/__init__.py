@@ -5,26 +5,26 @@ from keycld.systems.base import AbstractSystem as AbstractSystem
 from keycld.systems.base import Conditions as Conditions
 from keycld.systems.base import Run as Run
 from keycld.systems.base import SweepPath as SweepPath
-from keycld.systems.drawing import Pictures as Pictures
-from keycld.systems.drawing import draw as draw
-from keycld.systems.drawing import draw_in_worker as draw_in_worker
-from keycld.systems.drawing import renderer_name as renderer_name
+from keycld.systems.discs import soft_discs as soft_discs
 from keycld.systems.initial_values import AbstractInitialValueSystem as AbstractInitialValueSystem
-from keycld.systems.mujoco_system import AbstractMujocoSystem as AbstractMujocoSystem
+from keycld.systems.mujoco.base import AbstractMujocoSystem as AbstractMujocoSystem
+from keycld.systems.mujoco.rendering import is_software as is_software
+from keycld.systems.mujoco.rendering import renderer_name as renderer_name
+from keycld.systems.pictures import Pictures as Pictures
+from keycld.systems.pictures import draw as draw
+from keycld.systems.pictures import draw_in_worker as draw_in_worker
+from keycld.systems.pictures import to_bytes as to_bytes
 from keycld.systems.processes import Task as Task
 from keycld.systems.processes import Workers as Workers
 from keycld.systems.processes import run_in_processes as run_in_processes
 from keycld.systems.registry import get as get
 from keycld.systems.registry import names as names
 from keycld.systems.registry import register as register
-from keycld.systems.rendering import is_software as is_software
 from keycld.systems.sampled import AbstractDrawnSystem as AbstractDrawnSystem
 from keycld.systems.sampled import AbstractSampledSystem as AbstractSampledSystem
 from keycld.systems.sampled import Recording as Recording
 from keycld.systems.sampled import in_single_precision as in_single_precision
 from keycld.systems.sampled import numbers_only as numbers_only
-from keycld.systems.suite.soft_discs import soft_discs as soft_discs
-from keycld.systems.suite.soft_discs import to_bytes as to_bytes
 
 __all__ = [
     "AbstractDrawnSystem",

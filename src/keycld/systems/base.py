@@ -1,4 +1,4 @@
-"""What every system offers: how it moves, what it looks like, and which keypoints suit it."""
+"""What every system offers: its motion, its pictures, and the keypoints that suit it."""
 
 import abc
 import dataclasses
@@ -16,22 +16,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Conditions:
-    """How runs are driven and started.
+    """Inputs and initial states of runs.
 
     Attributes:
         control: which inputs act: `"full"`, all; `"under"`, all but the second; `"none"`, no input; the name of an
             input: that one alone.
-        start: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal version's, all
-            positions and velocities random; `"upright"`, the same in half of the runs, and in the others close to
-            upright, positions off by a normal 0.2 rad (or m) and velocities by 1/s; `"released"`, any position,
-            exactly zero velocity.
-        input_limit: u is drawn uniformly from ± this.
+        start: the initial states: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal
+            version's, all positions and velocities random; `"upright"`, the same in half of the runs, and in the
+            others close to upright, positions off by a normal 0.2 rad (or m) and velocities by 1/s; `"released"`,
+            released from rest at any position.
+        input_limit: u is sampled uniformly from ± this.
         clip: whether the motors limit u to the system's `input_range`.
         input: `"constant"` in a run, or a `"random-walk"`: held for a frame, then moved by a normal number of deviation
             0.15 `input_limit` and reflected at ± `input_limit`. Inputs that are zero stay zero.
+        idle_number: whether the random number that decides if u is zero is also taken from the generator where no input
+            acts. The released code of 2024 does not take it, so there the initial states with `control="none"`
+            differ from those with `"full"`.
 
     Good values: the defaults are those of arXiv v1 (2022); the journal version (2024) has `start="random"`,
-    `input_limit=2`, `clip=False`.
+    `input_limit=2`, `clip=False`, `idle_number=False`.
     """
 
     control: str = "full"
@@ -39,12 +42,19 @@ class Conditions:
     input_limit: float = 3.0
     clip: bool = True
     input: str = "constant"
+    idle_number: bool = True
 
     def described(self) -> dict[str, Any]:
-        """The fields by name, for records; without `input` where it is constant, as before there was a choice."""
+        """Return the fields by name, for records.
+
+        `input` is left out where it is constant, `idle_number` where it changes nothing: records from before these
+        choices stay valid.
+        """
         fields = dataclasses.asdict(self)
         if self.input == "constant":
             del fields["input"]
+        if self.idle_number or self.control != "none":
+            del fields["idle_number"]
         return fields
 
 
@@ -71,7 +81,7 @@ class SweepPath(NamedTuple):
         name: of the path.
         state: [n, d].
         shape: (n,) for a path, (rows, columns) for a grid, stored row by row.
-        vary: names of the states that change, one an axis of `shape`.
+        vary: names of the states that change, one for each axis of `shape`.
     """
 
     name: str
@@ -81,12 +91,12 @@ class SweepPath(NamedTuple):
 
 
 class Drawer(Protocol):
-    """Draws a system's states; `description` names what draws (for example the GL renderer)."""
+    """Renders a system's states; `description` names the renderer, for example the OpenGL device."""
 
     description: str
 
     def draw(self, state: np.ndarray) -> np.ndarray:
-        """The picture, uint8 `[size, size, 3]`, of one state `[d]`."""
+        """Return the picture, uint8 `[size, size, 3]`, of one state `[d]`."""
         ...
 
 
@@ -97,10 +107,10 @@ class AbstractSystem(abc.ABC):
         name: in lower case; a slash separates a family from its member.
         dt: seconds between frames.
         size: pixels of a side.
-        state_names: one a component of the state, all positions first, then all velocities or momenta.
+        state_names: one for each component of the state, all positions first, then all velocities or momenta.
         units: of these, in the same order.
-        input_names: one an input.
-        keypoints: names of the points to watch; none where the system suggests none.
+        input_names: one for each input; empty where nothing drives the system.
+        keypoints: names of the suggested keypoints; empty where the system suggests none.
     """
 
     name: ClassVar[str]
@@ -108,46 +118,62 @@ class AbstractSystem(abc.ABC):
     size: ClassVar[int] = 64
     state_names: ClassVar[tuple[str, ...]]
     units: ClassVar[tuple[str, ...]]
-    input_names: ClassVar[tuple[str, ...]]
-    keypoints: ClassVar[tuple[str, ...]]
+    input_names: ClassVar[tuple[str, ...]] = ()
+    keypoints: ClassVar[tuple[str, ...]] = ()
 
     @property
-    @abc.abstractmethod
-    def constraints(self) -> "keycld.mechanics.Constraints":
-        """The constraints Φ suggested for `keypoints`. Only DΦ matters, so their constants need not fit."""
+    def constraints(self) -> "keycld.mechanics.Constraints | None":
+        """The constraints Φ suggested for `keypoints`, or None where the system suggests none.
 
-    @abc.abstractmethod
-    def landmarks(self, state: np.ndarray) -> np.ndarray:
-        """True positions `[..., K, 2]` of `keypoints` in the image plane, for states `[..., d]`.
-
-        x right, y up, ±1 at the centres of the outermost pixels. For evaluation only, never for training.
+        Only DΦ matters, so their constants need not fit.
         """
+        return None
+
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """Return the true positions `[..., K, 2]` of the K `keypoints` in the image plane, for states `[..., d]`.
+
+        x right, y up, ±1 at the centres of the outermost pixels. K is 0 where the system suggests no keypoints. For
+        evaluation only, never for training.
+        """
+        return np.zeros((*np.shape(state)[:-1], 0, 2))
 
 
 class AbstractMechanism(AbstractSystem):
-    """A system with motors, simulated one run at a time and drawn by a renderer of its own.
+    """A system with motors, simulated one run at a time and shown by a renderer of its own.
 
     Attributes:
         input_range: the largest |u| of its motors where they are limited.
-        control_modes: those of `Conditions.control` that it knows.
         starts: those of `Conditions.start` that it knows.
     """
 
     input_range: ClassVar[float]
-    control_modes: ClassVar[tuple[str, ...]]
     starts: ClassVar[tuple[str, ...]]
+
+    @property
+    @abc.abstractmethod
+    def control_modes(self) -> tuple[str, ...]:
+        """The values of `Conditions.control` that the system knows."""
+
+    @property
+    @abc.abstractmethod
+    def constraints(self) -> "keycld.mechanics.Constraints":
+        """The constraints Φ suggested for `keypoints`."""
+
+    @abc.abstractmethod
+    def landmarks(self, state: np.ndarray) -> np.ndarray:
+        """Return the true positions `[..., K, 2]` of `keypoints` for states `[..., d]`; see `AbstractSystem`."""
 
     @abc.abstractmethod
     def record(self, random: np.random.RandomState, frames: int, conditions: Conditions) -> Run:
-        """Simulate one run: draws input and start from `random`; frame k shows the state after step k + 1."""
+        """Simulate one run with input and initial state from `random`; frame k shows the state after step k + 1."""
 
     @abc.abstractmethod
     def sweeps(self) -> tuple[SweepPath, ...]:
-        """The paths and the grid of the energy figures (the paper's Figs. 8 to 12)."""
+        """Return the paths and the grid of the energy figures (Figs. 8 to 12 of the paper)."""
 
     @abc.abstractmethod
     def drawer(self) -> AbstractContextManager[Drawer]:
-        """A context in which this process draws the system; keep to one system a process."""
+        """Return a context in which this process renders the system; keep to one system a process."""
 
     def check(self, conditions: Conditions) -> None:
         """Raise `KeycldError` where the system does not know the conditions."""

@@ -1,4 +1,4 @@
-"""Sampled systems that solve an initial value problem: start and parameters decide everything."""
+"""Sampled systems that solve an initial value problem: initial state and parameters decide everything."""
 
 import abc
 from collections.abc import Mapping
@@ -12,59 +12,59 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.systems.sampled import AbstractDrawnSystem, Recording, in_lanes
 
-_MOST_DRAWS = 1000
+_MOST_SAMPLES = 1000
 
 
 class AbstractInitialValueSystem(AbstractDrawnSystem):
-    """A system that moves by its start alone; trajectory n draws from `numpy.random.RandomState(n)`."""
+    """A system without input; trajectory n samples initial state and parameters from `numpy.random.RandomState(n)`."""
 
     @abc.abstractmethod
     def start(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "d"], dict[str, np.ndarray]]:
-        """A random start and random parameters."""
+        """Sample an initial state and parameters."""
 
     @abc.abstractmethod
     def motion(
         self, start: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T d"]:
-        """The states of one trajectory at `times`, the first of which is 0."""
+        """Compute the states of one trajectory at `times`, the first of which is 0."""
 
-    @abc.abstractmethod
     def accepts(self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]) -> np.ndarray:
-        """Which trajectories are kept, bool [N]; the others are drawn again from the same generators."""
+        """Return which trajectories are kept, bool [N], by default all; the others are sampled again."""
+        return np.ones(len(state), bool)
 
     def group(self, frames: int, size: str, images: bool) -> int:
-        """Some seconds of work."""
+        """Return as many as are some seconds of work."""
         return max(1, (32_000 if images else 256_000) // frames)
 
     def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
-        """Draws, solves and draws again those that are not accepted; `draws` among the parameters counts."""
+        """Sample, solve, and sample again those that are not accepted; the parameter `draws` counts the samples."""
         randoms = [np.random.RandomState(number) for number in numbers]
         time = self.dt * np.arange(frames)
-        drawn = [self.start(random, protocol) for random in randoms]
-        start = np.stack([state for state, _ in drawn])
-        parameters = {name: np.stack([given[name] for _, given in drawn]) for name in drawn[0][1]}
+        sampled = [self.start(random, protocol) for random in randoms]
+        start = np.stack([state for state, _ in sampled])
+        parameters = {name: np.stack([given[name] for _, given in sampled]) for name in sampled[0][1]}
         state = self.move(start, parameters, time)
         draws = np.ones(len(randoms), int)
         again = np.flatnonzero(~self.accepts(state, parameters))
         while len(again):
-            if draws.max() == _MOST_DRAWS:
-                raise KeycldError(f"no trajectory of {self.name} stayed in the picture in {_MOST_DRAWS} draws.")
+            if draws.max() == _MOST_SAMPLES:
+                raise KeycldError(f"{self.name} accepts none of {_MOST_SAMPLES} samples: correct `start` or `accepts`.")
             for i in again:
                 start[i], given = self.start(randoms[i], protocol)
                 for name, value in given.items():
                     parameters[name][i] = value
-            redrawn = {name: value[again] for name, value in parameters.items()}
-            state[again] = self.move(start[again], redrawn, time)
+            resampled = {name: value[again] for name, value in parameters.items()}
+            state[again] = self.move(start[again], resampled, time)
             draws[again] += 1
-            again = again[~self.accepts(state[again], redrawn)]
+            again = again[~self.accepts(state[again], resampled)]
         return Recording(time, state, {"seed": np.array(numbers), "draws": draws, **parameters})
 
     def move(
         self, start: Float[np.ndarray, "N d"], parameters: Mapping[str, np.ndarray], time: Float[np.ndarray, "T"]
     ) -> Float[np.ndarray, "N T d"]:
-        """The motion of many starts, in float64."""
+        """Compute the motion from many initial states, in float64."""
         with jax.enable_x64(True):
             return in_lanes(partial(_move, self.motion, jnp.asarray(time)), start, dict(parameters))
 

@@ -1,4 +1,4 @@
-"""Fresh worker processes for drawing: at most four, each with a time-out and one retry.
+"""Fresh worker processes for rendering: at most four, each with a time-out and one retry.
 
 Workers are new interpreters, never forks (JAX and GL do not survive one), and they do not import the
 caller's main script, so plain scripts and notebooks may call this without a guard. A worker ends with its
@@ -51,13 +51,14 @@ class _Worker:
         )
         # Connection frames whole pickled objects and can wait with a time-out, which plain pipes cannot.
         stdin, stdout = self._process.stdin, self._process.stdout
-        self._tasks = Connection(os.dup(stdin.fileno()), readable=False)  # pyright: ignore
-        self._answers = Connection(os.dup(stdout.fileno()), writable=False)  # pyright: ignore
-        stdin.close()  # pyright: ignore
-        stdout.close()  # pyright: ignore
+        assert stdin is not None and stdout is not None
+        self._tasks = Connection(os.dup(stdin.fileno()), readable=False)
+        self._answers = Connection(os.dup(stdout.fileno()), writable=False)
+        stdin.close()
+        stdout.close()
 
     def run(self, task: Task, time_out: float) -> Any:
-        """The task's result; raises what the task raised, or `_Lost`."""
+        """Return the result of the task; raise what the task raised, or `_Lost`."""
         try:
             self._tasks.send(tuple(task))
             if not self._answers.poll(time_out):
@@ -118,8 +119,8 @@ class _Crew:
 
 
 def cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def run_in_processes(
@@ -167,7 +168,7 @@ class Workers:
         self._pool = ThreadPoolExecutor(self.count)
 
     def run(self, tasks: Sequence[Task]) -> list[Any]:
-        """The results in the order of the tasks; raises what a task raised."""
+        """Return the results in the order of the tasks; raise what a task raised."""
         return list(self._pool.map(self._crew.run, tasks))
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Finds systems by name: every module in `catalogue/` that registers one is known."""
+"""Finds systems by name: every module in a folder of this package that registers one is known."""
 
 import importlib
 import pkgutil
@@ -12,30 +12,34 @@ S = TypeVar("S", bound=AbstractSystem)
 
 
 def register(system: type[S]) -> type[S]:
-    """Class decorator that makes a system known by its `name`.
+    """Make a system known by its `name`; a class decorator.
 
-    A file in `keycld/systems/catalogue/` with one decorated class is all that a new system needs. Your own
-    code may use the decorator too, in a module that can be imported (the renderer processes import it
-    again).
+    A file with one decorated class, in one of the folders of `keycld/systems/` or in a new one, is all that a new
+    system needs. Your own code may use the decorator too, in a module that can be imported: the renderer processes
+    import it again.
     """
     _SYSTEMS[system.name] = system()
     return system
 
 
-def _load_catalogue() -> None:
-    package = importlib.import_module("keycld.systems.catalogue")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
+def _import_systems() -> None:
+    """Import every module of every folder; each registers its systems."""
+    package = importlib.import_module("keycld.systems")
+    for kind in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+        if kind.ispkg:
+            folder = importlib.import_module(kind.name)
+            for module in pkgutil.iter_modules(folder.__path__, f"{kind.name}."):
+                importlib.import_module(module.name)
 
 
 def names(kind: type[AbstractSystem] = AbstractSystem) -> tuple[str, ...]:
-    """Names of all systems, or of one kind's, in alphabetical order."""
-    _load_catalogue()
+    """Return the names of all systems, or of one kind's, in alphabetical order."""
+    _import_systems()
     return tuple(sorted(name for name, system in _SYSTEMS.items() if isinstance(system, kind)))
 
 
 def get(name: str) -> AbstractSystem:
-    """The system called `name`.
+    """Return the system called `name`.
 
     Raises:
         KeycldError: there is none; it names the nearest.

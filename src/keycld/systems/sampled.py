@@ -1,24 +1,24 @@
-"""Systems whose trajectories are drawn many at a time, and whose pictures may be drawn from the state at any time."""
+"""Systems whose trajectories follow from a number, and whose pictures may be rendered from the state at any time."""
 
 import abc
 import math
 from collections.abc import Mapping
 from functools import partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld._errors import KeycldError
 from keycld.systems.base import AbstractSystem
-from keycld.systems.drawing import Pictures
-from keycld.systems.suite.soft_discs import to_bytes
+from keycld.systems.pictures import Pictures, to_bytes
 
-if TYPE_CHECKING:
-    import keycld.mechanics
-
+# The protocols of "Which priors matter?": the released configurations, and the text of the paper where it differs.
 RELEASED, PAPER = "priors-released", "priors-paper"
+# Trajectories of each file, the same for both sizes of a set: as published, and with a long test of our own.
+_TRAIN_AND_TEST = {"train": 50_000, "test": 20_000}
+PUBLISHED_COUNTS = {size: _TRAIN_AND_TEST for size in ("default", "full")}
+COUNTS_WITH_LONG = {size: {**_TRAIN_AND_TEST, "test_long": 200} for size in ("default", "full")}
 _LANES = 1024
 
 
@@ -26,7 +26,7 @@ class Recording(NamedTuple):
     """N trajectories of T frames, without their pictures; arrays are float64 unless they count something.
 
     Attributes:
-        time: [T], seconds; 0 at the first frame, which shows the start.
+        time: [T], seconds; 0 at the first frame, which shows the initial state.
         state: [N, T, d].
         parameters: arrays [N, ...], constant along a trajectory.
     """
@@ -37,49 +37,37 @@ class Recording(NamedTuple):
 
 
 class AbstractSampledSystem(AbstractSystem):
-    """Something whose trajectories follow from their numbers, without input.
+    """A system whose trajectories follow from their numbers, without input.
 
     Attributes:
-        protocols: the ways to draw trajectories that it knows, the default first. `"priors-released"`: the
+        protocols: the ways to sample trajectories that it knows, the default first. `"priors-released"`: the
             released configurations; `"priors-paper"`: the text of the paper where the two differ.
         counts: trajectories of each file by size: `{"default": {"train": ..., "test": ...}, "full": ...}`; "train"
             counts those of validation too.
     """
 
-    input_names: ClassVar[tuple[str, ...]] = ()
     size: ClassVar[int] = 32
-    keypoints: ClassVar[tuple[str, ...]] = ()
     protocols: ClassVar[tuple[str, ...]]
     counts: ClassVar[Mapping[str, Mapping[str, int]]]
 
     @abc.abstractmethod
     def record(self, numbers: range, frames: int, protocol: str, size: str) -> Recording:
-        """The trajectories of these numbers; each depends on its number, the protocol and the size only."""
+        """Compute the trajectories of these numbers; each depends on its number, the protocol and the size only."""
 
     @abc.abstractmethod
     def group(self, frames: int, size: str, images: bool) -> int:
-        """How many consecutive numbers are best recorded at once, with their pictures or without."""
+        """Return how many consecutive numbers are best recorded at once, with their pictures or without."""
+
+    def related(self, size: str) -> int:
+        """Return how many consecutive numbers, counted from a multiple, are parts of one simulation.
+
+        Such trajectories are correlated, so they never lie in two files; 1 where all are independent.
+        """
+        return 1
 
     @abc.abstractmethod
     def pictures(self, recording: Recording) -> Pictures:
-        """The pictures of a recording, `image` uint8 `[N, T, size, size, 3]`."""
-
-    @property
-    def constraints(self) -> "keycld.mechanics.Constraints":
-        """None, unless a system says otherwise: few of these pictures show points that keep their distances.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise _no_keypoints(self.name)
-
-    def landmarks(self, state: np.ndarray) -> np.ndarray:
-        """None, as there are no keypoints.
-
-        Raises:
-            KeycldError: always.
-        """
-        raise _no_keypoints(self.name)
+        """Render a recording: `image` uint8 `[N, T, size, size, 3]`."""
 
 
 class AbstractDrawnSystem(AbstractSampledSystem):
@@ -88,7 +76,7 @@ class AbstractDrawnSystem(AbstractSampledSystem):
     `seen`, `draw` and `derivative` act on one state; parameters are those of one trajectory, without `N`.
 
     Attributes:
-        renderer: what draws its pictures.
+        renderer: name of what renders its pictures.
         renderer_version: changes when the same state would give another picture.
     """
 
@@ -97,26 +85,26 @@ class AbstractDrawnSystem(AbstractSampledSystem):
 
     @abc.abstractmethod
     def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
-        """What of the state a picture shows, for example where discs are. Smaller than the state, or as large."""
+        """Return what a picture shows of the state, for example the centres of discs; m ≤ d."""
 
     @abc.abstractmethod
     def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
-        """The picture, values in [0, 1]."""
+        """Render what is seen, values in [0, 1]."""
 
     @abc.abstractmethod
     def derivative(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
-        """The state's derivative in time, all forces included."""
+        """Return the derivative of the state in time, all forces included."""
 
     @abc.abstractmethod
     def conserved(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, ""]:
-        """What would stay constant along a trajectory without friction, for example the energy."""
+        """Return what would stay constant along a trajectory without friction, for example the energy."""
 
     def picture(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
-        """The picture of a state."""
+        """Render a state."""
         return self.draw(self.seen(state, parameters), parameters)
 
     def pictures(self, recording: Recording) -> Pictures:
-        """What is seen is computed in float64, its pictures in float32."""
+        """Render a recording: what is seen is computed in float64, its pictures in float32."""
         seen = self.all_seen(recording.state, recording.parameters)
         constants = in_single_precision(recording.parameters)
         image = np.empty((*seen.shape[:2], self.size, self.size, 3), np.uint8)
@@ -127,34 +115,29 @@ class AbstractDrawnSystem(AbstractSampledSystem):
     def all_seen(
         self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "N T m"]:
-        """`seen` of all states, computed in float64, as float32."""
+        """Return `seen` of all states, computed in float64, as float32."""
         return map_states(self.seen, state, parameters).astype(np.float32)
 
     def derivatives(
         self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "N T d"]:
-        """`derivative` of all states, in float64."""
+        """Return `derivative` of all states, in float64."""
         return map_states(self.derivative, state, parameters)
 
     def all_conserved(
         self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "N T"]:
-        """`conserved` of all states, in float64."""
+        """Return `conserved` of all states, in float64."""
         return map_states(self.conserved, state, parameters)
 
 
-def _no_keypoints(name: str) -> KeycldError:
-    """The error for a set that suggests none."""
-    return KeycldError(f"{name} suggests no keypoints: give your own with --constraints FILE.toml (docs/data.md).")
-
-
 def numbers_only(parameters: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Parameters without texts."""
+    """Return the parameters without texts."""
     return {name: value for name, value in parameters.items() if value.dtype.kind in "fiu"}
 
 
 def in_single_precision(parameters: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Parameters without texts, with 32 bits a number."""
+    """Return the parameters without texts, with 32 bits a number."""
     kinds: dict[str, Any] = {"f": np.float32, "i": np.int32, "u": np.int32}
     return {name: value.astype(kinds[value.dtype.kind]) for name, value in numbers_only(parameters).items()}
 
@@ -172,13 +155,13 @@ def _map_states(function, state, parameters):
 def map_states(
     function: Any, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
 ) -> Float[np.ndarray, "N T *m"]:
-    """A function of one state and its trajectory's parameters, applied to all, in float64."""
+    """Apply a function of one state and the parameters of its trajectory to all, in float64."""
     with jax.enable_x64(True):
         return in_lanes(partial(_map_states, function), state, numbers_only(parameters))
 
 
 def in_lanes(function: Any, *arrays: Any, lanes: int = _LANES) -> np.ndarray:
-    """`function` of arrays with a common first axis, `lanes` rows at a time, the last ones filled up.
+    """Apply `function` to arrays with a common first axis, `lanes` rows at a time, the last ones filled up.
 
     So one compiled program serves every number of rows up to a power of two.
     """

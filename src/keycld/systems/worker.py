@@ -17,7 +17,7 @@ def _end_with(parent: int) -> None:
 
 
 def main() -> None:
-    """Do tasks until the parent, whose process id is the first argument, is gone."""
+    """Run tasks until the parent process, whose id is the first argument, has ended."""
     threading.Thread(target=_end_with, args=(int(sys.argv[1]),), daemon=True).start()
     tasks = Connection(os.dup(0), writable=False)
     answers = Connection(os.dup(1), readable=False)

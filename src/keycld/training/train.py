@@ -77,7 +77,7 @@ def train(
         settings=config.settings(),
         seed=seed,
         scene=dataclasses.asdict(scene),
-        input_names=tuple(dataset.attributes.get("input_names", ())),
+        input_names=dataset.input_names,
         epsilon=threshold,
         steps_per_dispatch=steps_per_dispatch,
         checkpoint_seconds=checkpoint_seconds,

@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 
@@ -54,7 +54,7 @@ class KeyCLDConfig(ModelConfig):
         """K."""
         return len(self.phi.keypoints)
 
-    def completed(self, source: Any = None) -> Self:
+    def completed(self, source: Any = None) -> "ModelConfig":
         """Return the config with the constraints of the data set or system `source`, as text where text can hold them.
 
         Raises:
@@ -66,7 +66,7 @@ class KeyCLDConfig(ModelConfig):
         if found is None:
             found = _EXAMPLE if source is None else source.constraints
         elif callable(found) and not isinstance(found, Constraints):
-            found = Constraints(source.constraints.keypoints, (found,))
+            found = Constraints(_keypoints(source), (found,))
         if isinstance(found, Constraints) and not any(isinstance(item, FunctionConstraint) for item in found.items):
             found = dump_constraints(found)
         completed = dataclasses.replace(self, constraints=found)
@@ -77,3 +77,9 @@ class KeyCLDConfig(ModelConfig):
         """Return all fields as values of JSON; constraints with a Python function among them become None."""
         text = self.constraints if isinstance(self.constraints, str) else None
         return super(KeyCLDConfig, dataclasses.replace(self, constraints=text)).settings()
+
+
+def _keypoints(source: Any) -> tuple[str, ...]:
+    if source is None or source.constraints is None:
+        raise KeycldError("a plain function does not name keypoints: wrap it, Constraints(('a', 'b'), (function,)).")
+    return source.constraints.keypoints

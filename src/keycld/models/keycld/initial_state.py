@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics import (
     AbstractDynamics,
-    AdaptiveDynamics,
+    AbstractMechanicalDynamics,
     ConstrainedLagrangian,
     MechanicalDynamics,
     Motion,
@@ -181,6 +181,6 @@ def allowed_velocity(dynamics: AbstractDynamics, x: Float[Array, "dim"], v: Floa
 
 
 def _lagrangian(dynamics: AbstractDynamics) -> ConstrainedLagrangian | None:
-    if isinstance(dynamics, (MechanicalDynamics, AdaptiveDynamics)) and isinstance(dynamics.law, ConstrainedLagrangian):
+    if isinstance(dynamics, AbstractMechanicalDynamics) and isinstance(dynamics.law, ConstrainedLagrangian):
         return dynamics.law
     return None

@@ -8,7 +8,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics import (
     AbstractLaw,
-    AdaptiveDynamics,
+    AbstractMechanicalDynamics,
     ConstrainedLagrangian,
     MechanicalDynamics,
     Motion,
@@ -36,7 +36,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     """
 
     estimator: AbstractEstimator
-    dynamics: MechanicalDynamics | AdaptiveDynamics
+    dynamics: AbstractMechanicalDynamics
     renderer: AbstractRenderer
     initial_state: AbstractInitialState
     velocity_prior: eqx.AbstractVar[VelocityPrior | None]
@@ -56,7 +56,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         """How many inputs the law of motion takes."""
         law = self.moving_law
         assert isinstance(law, (ConstrainedLagrangian, SecondOrderNetwork))
-        return law.inputs or 0
+        return law.inputs
 
     def anchor(self, n: int) -> int:
         """Return the frame that the initial state belongs to."""

@@ -1,4 +1,4 @@
-"""What a stage does to model and data before its first step, and what it says after its last."""
+"""What a stage does to model and data before its first step, and what it warns of after its last."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -11,15 +11,17 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import Motion, State, fit_motions
-from keycld.models.keycld.model import AbstractKeypointModel, KeyCLD
+from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
+# Mean frame and deviation are those of at least so many trajectories, if there are as many.
+_MEASURED = 1000
 # Compiled once for all stages that fit.
 _fit = eqx.filter_jit(fit_motions)
 
 
-def measure_statistics(model: AbstractKeypointModel, data: Resident) -> tuple[Any, Resident]:
-    """Puts the training data's mean frame and deviation into the estimator and the renderer."""
+def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Put the training data's mean frame and deviation into the estimator and the renderer."""
     mean, deviation = _mean_and_deviation(data)
     if not deviation > 0:
         raise KeycldError("all training pictures are the same: there is no motion to learn from; check the data.")
@@ -31,11 +33,11 @@ def measure_statistics(model: AbstractKeypointModel, data: Resident) -> tuple[An
     return model, data
 
 
-def warn_unseen(model: AbstractKeypointModel, terms: Mapping[str, float]) -> str | None:
-    """A warning where the vision stage has not learned to see: much of what moves is missing from its drawings.
+def warn_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
+    """Return a warning where the vision stage has failed: much of what moves is missing from the rendered pictures.
 
-    Measured: stages that went well left 0.05 to 0.08 of the mean picture's error, those that failed 0.27 to 1.0;
-    the later stages seldom mend that.
+    Measured: successful stages left 0.05 to 0.08 of the mean picture's error, failed ones 0.27 to 1.0; the later stages
+    seldom repair that.
     """
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
     share = terms["reconstruction"] / whole
@@ -43,12 +45,12 @@ def warn_unseen(model: AbstractKeypointModel, terms: Mapping[str, float]) -> str
         return None
     return (
         f"the keypoints have not found their parts: {share:.2f} of the mean picture's error is left, where less than "
-        "0.1 is usual. Training goes on, but predictions will be poor. Try another --seed, or --set vision_steps=2000."
+        "0.1 is usual. Training goes on, but predictions will be poor. Try another --seed, or --vision.steps 2000."
     )
 
 
-def cache_keypoints(model: AbstractKeypointModel, data: Resident) -> tuple[Any, Resident]:
-    """Adds the keypoints that the model's estimator sees in every training frame."""
+def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Add the keypoints that the model's estimator finds in every training frame."""
     count, length = data.image.shape[:2]
     seen = [_observe(model, data.image[i]) for i in range(count)]
     return model, eqx.tree_at(
@@ -56,8 +58,8 @@ def cache_keypoints(model: AbstractKeypointModel, data: Resident) -> tuple[Any, 
     )
 
 
-def share_constants(model: AbstractKeypointModel, data: Resident) -> tuple[Any, Resident]:
-    """Puts the mean of Φ over all cached keypoints into a start that shares the constants between trajectories."""
+def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Put the mean of Φ over all cached keypoints into the model, if its trajectories share their constants."""
     if model.initial_state.shared is None:
         return model, data
     assert data.cached is not None
@@ -65,8 +67,8 @@ def share_constants(model: AbstractKeypointModel, data: Resident) -> tuple[Any, 
     return eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.mean(values, axis=0)), data
 
 
-def fit_dynamics(model: AbstractKeypointModel, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
-    """Least squares through the dynamics: masses and the affine parts of V and g from the cached keypoints.
+def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
+    """Fit masses and the affine parts of V and g to the cached keypoints, by least squares through the dynamics.
 
     Gradient steps on a few clips leave these numbers several per cent off, which decides long predictions; whole
     trajectories, about so many of them, pin them down: some fifty numbers are sought. A model without a Lagrangian is
@@ -95,12 +97,12 @@ def fit_dynamics(model: AbstractKeypointModel, data: Resident, *, trajectories: 
     return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), data
 
 
-def measure_velocity_prior(model: AbstractKeypointModel, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
-    """Puts into the model what training recordings begin with, and how well its sightings tell that.
+def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
+    """Measure the velocity prior on training recordings, from the cached keypoints.
 
-    Of about so many recordings: τ is the time after rest that predicts them best, σ_s² / (σ_s² + σ_b²) the part of the
-    way from the velocities seen to those τ after rest that does. The sum is the median of what lies between, so that
-    some recordings may begin otherwise. From the cached keypoints; a model without a prior is left as it is.
+    Of about so many recordings: τ is the time after rest that predicts them best, σ_s² / (σ_s² + σ_b²) the share of the
+    way from the observed velocities to those τ after rest that does. The sum is the median of what lies between, so
+    that some recordings may have any first velocity. A model without a prior is left as it is.
     """
     if model.velocity_prior is None:
         return model, data
@@ -112,7 +114,7 @@ def measure_velocity_prior(model: AbstractKeypointModel, data: Resident, *, traj
 
 
 def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
-    """Several preparations as one."""
+    """Return several preparations as one."""
 
     def prepare(model: Any, data: Resident) -> tuple[Any, Resident]:
         for step in steps:
@@ -139,7 +141,7 @@ def _velocity_prior(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *,
     acceleration = jax.vmap(lambda x, u: law.acceleration(x, jnp.zeros_like(x), u))(x, first)
 
     def miss(v: jax.Array) -> jax.Array:
-        """How far predictions with these first velocities are off; lost ones count little."""
+        """Return the error of predictions with these first velocities; diverged ones count little."""
         released = State(Motion(x, v), initial.parameters)
         paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, seen.shape[1] - 1).x)(released, u)
         far = jnp.nan_to_num(jnp.sum((paths - seen) ** 2, axis=-1), nan=1.0, posinf=1.0)
@@ -158,11 +160,12 @@ def _velocity_prior(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *,
 
 
 def _mean_and_deviation(data: Resident) -> tuple[jax.Array, jax.Array]:
-    # In NumPy and one trajectory at a time: uint8 sums stay exact and no float copy of the data is made.
-    image = np.asarray(data.image)
-    mean = np.zeros(image.shape[2:])
-    for trajectory in image:
-        mean += trajectory.mean(0) / len(image)
+    # One trajectory at a time, in NumPy: uint8 sums stay exact, and no float copy of the data is made.
+    count = data.image.shape[0]
+    some = range(0, count, max(1, count // _MEASURED))
+    mean = np.zeros(data.image.shape[2:])
+    for i in some:
+        mean += np.asarray(data.image[i]).mean(0) / len(some)
     mean /= 255.0
-    variance = np.mean([np.mean((trajectory / 255.0 - mean) ** 2) for trajectory in image])
+    variance = np.mean([np.mean((np.asarray(data.image[i]) / 255.0 - mean) ** 2) for i in some])
     return jnp.asarray(mean, jnp.float32), jnp.asarray(np.sqrt(variance), jnp.float32)

@@ -5,7 +5,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import PRNGKeyArray
+from jaxtyping import Array, Key, PRNGKeyArray
 
 from keycld._errors import KeycldError
 from keycld.mechanics import (
@@ -83,7 +83,7 @@ def build(
 
 
 def _vision(
-    config: KeyCLDConfig, scene: Scene, keys: PRNGKeyArray, width: int, sigma: float
+    config: KeyCLDConfig, scene: Scene, keys: Key[Array, "3"], width: int, sigma: float
 ) -> tuple[AbstractEstimator, AbstractRenderer]:
     count, size = config.keypoints, (scene.height, scene.width)
     if config.model == "fc":

@@ -32,7 +32,7 @@ class ShortRolloutLoss(AbstractLoss):
     steps: int = eqx.field(static=True, default=4)
     dynamics: float = 1.0
     heat_map: float = 1.0
-    sigma: float = 0.05
+    sigma: float = 0.1
     augment: bool = eqx.field(static=True, default=True)
 
     def __call__(

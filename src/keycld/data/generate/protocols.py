@@ -1,0 +1,97 @@
+"""The runs that a data set holds: the protocols of the papers, and the splits that nothing is tuned on."""
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from keycld._errors import KeycldError, unknown
+from keycld.systems import Conditions
+
+
+@dataclass(frozen=True)
+class Split:
+    """Runs of one file.
+
+    Attributes:
+        name: the file is NAME.h5.
+        seeds: `(first, last + 1)`, one generator `numpy.random.RandomState(seed)` a run.
+        frames: of each run.
+        conditions: inputs and initial states.
+        screened: whether runs that leave the image or turn more than 1 rad between two frames are sampled again from
+            the same generator.
+    """
+
+    name: str
+    seeds: tuple[int, int]
+    frames: int
+    conditions: Conditions
+    screened: bool = False
+
+    def __len__(self) -> int:
+        """Return the number of runs."""
+        return self.seeds[1] - self.seeds[0]
+
+
+_CONDITIONS: Mapping[str, Conditions] = {
+    "keycld-2022": Conditions(),
+    "keycld-2024": Conditions(start="random", input_limit=2.0, clip=False, idle_number=False),
+}
+PROTOCOLS = tuple(_CONDITIONS)
+# Seeds 0 ... 499 are the papers' (the last 50 for validation); no choice is ever made on the two test splits.
+_FIRST_SEED = {"train": 0, "validation": 450, "test": 500, "test_long": 1000}
+_RUNS = {"train": 450, "validation": 50, "test": 50, "test_long": 50}
+_FRAMES = {"train": 50, "validation": 50, "test": 50, "test_long": 500}
+
+
+def splits(
+    protocol: str,
+    *,
+    control: str | None = None,
+    start: str | None = None,
+    clip: bool | None = None,
+    input: str | None = None,
+    runs: Mapping[str, int] | None = None,
+    frames: Mapping[str, int] | None = None,
+) -> tuple[Split, ...]:
+    """Return the splits of a protocol.
+
+    Args:
+        protocol: one of `PROTOCOLS`.
+        control: which inputs act, instead of the protocol's choice.
+        start: the initial states, instead of the protocol's choice.
+        clip: whether the motors limit the input, instead of the protocol's choice.
+        input: `"constant"` or `"random-walk"`, instead of the protocol's choice.
+        runs: numbers of runs by split, for smaller sets (a run depends on its seed and its length only).
+        frames: numbers of frames by split.
+
+    Raises:
+        KeycldError: an unknown protocol or split, or a number below 1 run or 3 frames.
+
+    Good values: the defaults; `runs` and `frames` are for tests.
+    """
+    if protocol not in _CONDITIONS:
+        raise unknown("protocol", protocol, PROTOCOLS)
+    changes: dict[str, Any] = {"control": control, "start": start, "clip": clip, "input": input}
+    conditions = dataclasses.replace(
+        _CONDITIONS[protocol], **{name: value for name, value in changes.items() if value is not None}
+    )
+    released = Conditions(control="none", start="released", clip=conditions.clip)
+    counts, lengths = dict(_RUNS), dict(_FRAMES)
+    for given, numbers, least, what in ((runs, counts, 1, "runs"), (frames, lengths, 3, "frames")):
+        for name, number in (given or {}).items():
+            if name not in numbers:
+                raise unknown("split", name, numbers)
+            if number < least:
+                raise KeycldError(f"{name} needs at least {least} {what}, not {number}.")
+            numbers[name] = number
+    return tuple(
+        Split(
+            name,
+            (_FIRST_SEED[name], _FIRST_SEED[name] + counts[name]),
+            lengths[name],
+            released if name == "test_long" else conditions,
+            screened=name == "test_long",
+        )
+        for name in _RUNS
+    )

@@ -1,0 +1,171 @@
+"""Data sets of sampled systems: the trajectories that they hold, and the work of one process."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from keycld import __version__
+from keycld._errors import KeycldError, unknown
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
+from keycld.data.generate.parts import Part
+from keycld.systems import AbstractDrawnSystem, AbstractSampledSystem, Task
+
+Store = Literal["states", "images"]
+# Far enough apart that no two files share a number, and multiples of the windows of a simulation.
+_FIRST_NUMBER = {"train": 0, "test": 2_100_000, "test_long": 4_200_000}
+_FRAMES = {"train": 256, "test": 256, "test_long": 1000}
+_MOST_VALIDATION = 1000
+
+
+@dataclass(frozen=True)
+class SampledSplit:
+    """Trajectories of one file: `seeds` are their numbers (first, last + 1)."""
+
+    name: str
+    seeds: tuple[int, int]
+    frames: int
+
+    def __len__(self) -> int:
+        """Return the number of trajectories."""
+        return self.seeds[1] - self.seeds[0]
+
+
+def sampled_splits(
+    system: AbstractSampledSystem,
+    size: str = "default",
+    *,
+    runs: Mapping[str, int] | None = None,
+    frames: Mapping[str, int] | None = None,
+) -> tuple[SampledSplit, ...]:
+    """Return the files of a sampled system's data set.
+
+    `validation` is the last 1,000 training trajectories, a tenth of them where there are fewer than 10,000. Where
+    several trajectories are parts of one simulation, it is enlarged until no simulation is in both files.
+
+    Args:
+        system: the system.
+        size: `"default"` or `"full"`.
+        runs: numbers of trajectories by split; "train" counts those of validation too.
+        frames: numbers of frames by split.
+
+    Raises:
+        KeycldError: an unknown size or split, or a number that is too small.
+
+    Good values: the default sizes.
+    """
+    if size not in system.counts:
+        raise unknown("size", size, system.counts)
+    counts = dict(system.counts[size])
+    lengths = {name: _FRAMES[name] for name in counts}
+    for given, numbers, least, what in ((runs, counts, 1, "trajectories"), (frames, lengths, 3, "frames")):
+        for name, number in (given or {}).items():
+            if name not in numbers:
+                raise unknown(f"split of {system.name}", name, numbers)
+            if number < max(least, 2 if name == "train" and what == "trajectories" else 0):
+                raise KeycldError(f"{name} needs at least {max(least, 2)} {what}, not {number}.")
+            numbers[name] = number
+    kept = _border(system, size, counts["train"])
+    splits = [
+        SampledSplit("train", (0, kept), lengths["train"]),
+        SampledSplit("validation", (kept, counts["train"]), lengths["train"]),
+    ]
+    for name in list(counts)[1:]:
+        first = _FIRST_NUMBER[name]
+        splits.append(SampledSplit(name, (first, first + counts[name]), lengths[name]))
+    return tuple(splits)
+
+
+def validation_count(train: int) -> int:
+    """Return how many of `train` trajectories are for validation: 1,000, a tenth of fewer than 10,000."""
+    return min(_MOST_VALIDATION, max(1, train // 10))
+
+
+def _border(system: AbstractSampledSystem, size: str, train: int) -> int:
+    """Return the number of the first validation trajectory among `train` numbers; a border between simulations."""
+    related = system.related(size)
+    if train <= related:
+        raise KeycldError(
+            f"{system.name} stores {related} trajectories of each simulation (size {size}), and train and validation "
+            f"share none: train needs at least {related + 1} trajectories, or {2 * related} for two whole "
+            f"simulations, not {train}."
+        )
+    return max(1, (train - validation_count(train)) // related) * related
+
+
+def sampled_job(
+    system: AbstractSampledSystem,
+    partial: Path,
+    *,
+    protocol: str | None,
+    size: str,
+    store: Store | None,
+    runs: Mapping[str, int] | None,
+    frames: Mapping[str, int] | None,
+) -> tuple[dict[str, Any], list[Part]]:
+    """Return what decides the data set's contents, and the parts of the work.
+
+    Raises:
+        KeycldError: an unknown protocol, size or split, a bad number, or states where only MuJoCo can render them.
+    """
+    protocol = protocol or system.protocols[0]
+    if protocol not in system.protocols:
+        raise unknown(f"protocol of {system.name}", protocol, system.protocols)
+    drawn = isinstance(system, AbstractDrawnSystem)
+    if store == "states" and not drawn:
+        raise KeycldError(f"{system.name} is rendered by MuJoCo, so its pictures are stored: leave out --store states.")
+    images = store == "images" or not drawn
+    plan = sampled_splits(system, size, runs=runs, frames=frames)
+    recipe = {
+        "system": system.name,
+        "protocol": protocol,
+        "size": size,
+        "store": "images" if images else "states",
+        "splits": [{**asdict(split), "conditions": {}} for split in plan],
+    }
+    attributes = {
+        "system": system.name,
+        "dt": system.dt,
+        "state_names": system.state_names,
+        "units": system.units,
+        "generator": f"keycld {__version__}",
+        "protocol": protocol,
+        "size": size,
+    }
+    parts = []
+    for split in plan:
+        related = system.related(size)
+        group = math.ceil(system.group(split.frames, size, images) / related) * related
+        # Groups begin at multiples and hold whole simulations, which are then computed once.
+        edges = [split.seeds[0], *range((split.seeds[0] // group + 1) * group, split.seeds[1], group), split.seeds[1]]
+        for first, last in zip(edges, edges[1:], strict=False):
+            path = partial / f"{split.name}-{first:07d}.h5"
+            marked = attributes | {"seed": split.seeds[0]}
+            task = Task(make_sampled_part, (system, range(first, last), split.frames, images, marked, path))
+            parts.append(Part(split.name, (last - first) * split.frames, path, task))
+    return recipe, parts
+
+
+def make_sampled_part(
+    system: AbstractSampledSystem, numbers: range, frames: int, images: bool, attributes: Mapping[str, Any], path: Path
+) -> None:
+    """Write the trajectories of `numbers` to `path`, with their pictures or with the name of what renders them."""
+    recording = system.record(numbers, frames, attributes["protocol"], attributes["size"])
+    image, about = None, dict(attributes)
+    if images:
+        image, about["renderer"] = system.pictures(recording)
+    elif isinstance(system, AbstractDrawnSystem):
+        about |= {"renderer": system.renderer, "renderer_version": system.renderer_version}
+    trajectories = Trajectories(
+        time=recording.time,
+        input=np.zeros((len(numbers), 0), np.float32),
+        image=image,
+        state=recording.state,
+        parameters=recording.parameters,
+        attributes=about,
+    )
+    write(path, trajectories)

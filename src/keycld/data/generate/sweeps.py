@@ -1,0 +1,72 @@
+"""Pictures along the paths of the energy figures: one file, one trajectory a path."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
+from keycld.systems import AbstractMechanism, draw_in_worker
+
+
+class Sweep(NamedTuple):
+    """Pictures along a path, or over a grid, of the configuration space; everything is at rest.
+
+    Attributes:
+        name: of the path.
+        vary: names of the states that change, one an axis of `shape`.
+        shape: (n,) for a path, (rows, columns) for a grid, stored row by row.
+        image: uint8 [n, H, W, 3].
+        state: float64 [n, d].
+    """
+
+    name: str
+    vary: tuple[str, ...]
+    shape: tuple[int, ...]
+    image: np.ndarray
+    state: np.ndarray
+
+
+def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: Path) -> None:
+    """Render the sweeps of a system and write them to `path`; for a worker process."""
+    sweeps = system.sweeps()
+    lengths = np.array([len(sweep.state) for sweep in sweeps])
+    image, renderer = draw_in_worker(system, np.concatenate([sweep.state for sweep in sweeps]))
+    # Shorter paths repeat their last point, so that one array holds all of them.
+    within = np.minimum(np.arange(lengths.max())[None, :], lengths[:, None] - 1)
+    index = np.cumsum([0, *lengths[:-1]])[:, None] + within
+    trajectories = Trajectories(
+        time=system.dt * np.arange(1, lengths.max() + 1),
+        input=np.zeros((len(sweeps), len(attributes["input_names"])), np.float32),
+        image=image[index],
+        state=np.concatenate([sweep.state for sweep in sweeps])[index],
+        parameters={
+            "name": np.array([sweep.name for sweep in sweeps]),
+            "vary": np.array([",".join(sweep.vary) for sweep in sweeps]),
+            "length": lengths,
+            "shape": np.array([(*sweep.shape, 1)[:2] for sweep in sweeps]),
+        },
+        attributes={**attributes, "seed": 0, "renderer": renderer},
+    )
+    write(path, trajectories)
+
+
+def sweeps_of(trajectories: Trajectories) -> tuple[Sweep, ...]:
+    """List the paths in a `sweeps.h5`, without the repeated points."""
+    found, sweeps = trajectories.parameters, []
+    assert trajectories.image is not None and trajectories.state is not None
+    for i in range(len(trajectories)):
+        vary = tuple(str(found["vary"][i]).split(","))
+        length = int(found["length"][i])
+        sweeps.append(
+            Sweep(
+                name=str(found["name"][i]),
+                vary=vary,
+                shape=tuple(int(n) for n in found["shape"][i][: len(vary)]),
+                image=trajectories.image[i, :length],
+                state=trajectories.state[i, :length],
+            )
+        )
+    return tuple(sweeps)

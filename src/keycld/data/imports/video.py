@@ -1,0 +1,205 @@
+"""Imports videos."""
+
+import shutil
+import subprocess
+import time
+from collections.abc import Sequence
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from keycld import __version__
+from keycld._errors import KeycldError
+from keycld.data.describe.finish import finish
+from keycld.data.format.folder import CONSTRAINTS
+from keycld.data.format.trajectories import Trajectories
+from keycld.data.format.writing import write
+from keycld.data.imports.claim import claim
+from keycld.systems import names
+
+_SPLITS = ("train", "validation", "test")
+
+
+def import_video(
+    paths: str | Path | Sequence[str | Path],
+    out: str | Path,
+    *,
+    size: int = 64,
+    fps: float | None = None,
+    crop: tuple[int, int, int, int] | None = None,
+    skip: float = 0.0,
+    frames: int = 50,
+    validation: float = 0.1,
+    test: float = 0.1,
+    constraints: str | Path | None = None,
+) -> Path:
+    """Make a data set of one or more videos of the same system, recorded from the same place.
+
+    Each video is cropped, scaled and cut into recordings of equal length, one after another; the remainder is dropped.
+    The earliest recordings become the training split, the latest the test split, so that no test frame lies between
+    training frames. There is no input and no true state.
+
+    Args:
+        paths: video files, any format that ffmpeg reads.
+        out: the folder to make; its name becomes that of the system.
+        size: pixels of a side, a multiple of 8.
+        fps: frames a second to keep, at most those of the video (the default).
+        crop: (left, top, width, height) in pixels of the video, a square, because lengths must be the same in both
+            directions; by default the largest one in the middle.
+        skip: seconds to leave out at the beginning of each video.
+        frames: frames of a recording.
+        validation: part of the recordings for choices; at least one recording.
+        test: part of the recordings for the test; at least one recording.
+        constraints: a TOML file of keypoints and constraints, copied into the folder.
+
+    Returns:
+        The folder.
+
+    Raises:
+        KeycldError: no such file, not a video, a bad crop, rate or number, too short videos, a folder in use.
+
+    Good values: recordings of about one swing; 30 to 60 frames a second; a still camera and background.
+    """
+    began = time.monotonic()
+    sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    _check_numbers(sources, size, fps, frames, skip, validation, test)
+    out = Path(out)
+    if out.resolve().name in names():
+        raise KeycldError(
+            f"the folder name '{out.resolve().name}' is the name of a system of keycld: choose another name for {out}."
+        )
+    if constraints is not None:
+        from keycld.mechanics import load_constraints
+
+        load_constraints(constraints)
+    videos = [_read_video(source, size, fps, crop, skip) for source in sources]
+    rates = {round(rate, 3) for _, rate in videos}
+    if len(rates) > 1:
+        raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with fps.")
+    rate = videos[0][1]
+    recordings = np.concatenate([_cut(video, frames) for video, _ in videos])
+    counts = _counts(len(recordings), validation, test, frames)
+    partial = claim(out)
+    attributes = {
+        "system": out.resolve().name,
+        "dt": 1.0 / rate,
+        "seed": 0,
+        "input_names": (),
+        "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
+        "protocol": "import",
+    }
+    first = 0
+    for name, count in zip(_SPLITS, counts, strict=True):
+        write(out / f"{name}.h5", _trajectories(recordings[first : first + count], rate, attributes))
+        first += count
+    if constraints is not None:
+        shutil.copyfile(constraints, out / CONSTRAINTS)
+    finish(out, {"seconds": round(time.monotonic() - began, 1)})
+    shutil.rmtree(partial)
+    return out
+
+
+def _check_numbers(
+    sources: Sequence[Path], size: int, fps: float | None, frames: int, skip: float, validation: float, test: float
+) -> None:
+    if not sources:
+        raise KeycldError("name at least one video.")
+    if size < 8 or size % 8:
+        raise KeycldError(f"size must be a multiple of 8, not {size}.")
+    if fps is not None and not 0 < fps < float("inf"):
+        raise KeycldError(f"fps must be above 0, not {fps}.")
+    if frames < 3:
+        raise KeycldError(f"a recording needs at least 3 frames, not {frames}.")
+    if not skip >= 0:
+        raise KeycldError(f"skip must be a number of seconds of at least 0, not {skip}.")
+    if not (validation >= 0 and test >= 0 and validation + test < 1):
+        raise KeycldError(f"validation ({validation}) and test ({test}) are parts that leave some for training.")
+
+
+def _ffmpeg(path: Path, *arguments: str) -> bytes:
+    """Run ffmpeg and return its output; arguments of the input stand before "-i".
+
+    Raises:
+        KeycldError: it cannot decode all of the file.
+    """
+    import imageio_ffmpeg
+
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-nostdin", *arguments, "-"]
+    done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode != 0:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        raise KeycldError(
+            f"{path} cannot be read as a video: convert it to MP4 first (ffmpeg: {said[-1] if said else 'no reason'})."
+        )
+    return done.stdout
+
+
+def _probe(path: Path) -> tuple[int, int, Fraction]:
+    """Read width, height and frames a second, as ffmpeg decodes the video (turned upright)."""
+    # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
+    head = _ffmpeg(path, "-i", str(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe")
+    words = {word[:1]: word[1:] for word in head.split(b"\n")[0].decode("ascii", "replace").split()[1:]}
+    try:
+        return int(words["W"]), int(words["H"]), Fraction(words["F"].replace(":", "/"))
+    except (KeyError, ValueError, ZeroDivisionError) as error:
+        raise KeycldError(f"{path} cannot be read as a video: convert it to MP4 first.") from error
+
+
+def _read_video(
+    path: Path, size: int, fps: float | None, crop: tuple[int, int, int, int] | None, skip: float
+) -> tuple[np.ndarray, float]:
+    """Read pictures uint8 [T, size, size, 3] and frames a second."""
+    if not path.is_file():
+        raise KeycldError(f"there is no video {path}: check the path.")
+    width, height, own = _probe(path)
+    rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
+    if not 0 < rate <= own + Fraction(1, 1000):
+        raise KeycldError(f"fps must be above 0 and at most the {float(own):g} of {path}, not {fps}.")
+    left, top, side = _square(crop, width, height, path)
+    # The rate comes first: it also makes the uneven frame times of phones equal.
+    filters = f"fps={rate},crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
+    raw = _ffmpeg(path, "-ss", str(skip), "-i", str(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo")
+    frame = size * size * 3
+    pictures = np.frombuffer(raw, np.uint8)[: len(raw) // frame * frame].reshape(-1, size, size, 3)
+    if not len(pictures):
+        raise KeycldError(f"{path} holds no frame after {skip:g} s: skip less.")
+    return pictures, float(rate)
+
+
+def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, path: Path) -> tuple[int, int, int]:
+    """Compute left, top and side of the part to keep."""
+    if crop is None:
+        side = min(width, height)
+        return (width - side) // 2, (height - side) // 2, side
+    left, top, crop_width, crop_height = crop
+    if crop_width != crop_height:
+        raise KeycldError(f"the crop must be a square, not {crop_width} x {crop_height}: make both the same.")
+    if crop_width < 1 or min(left, top) < 0 or left + crop_width > width or top + crop_height > height:
+        raise KeycldError(f"the crop {crop} does not lie inside the {width} x {height} pixels of {path}.")
+    return left, top, crop_width
+
+
+def _cut(video: np.ndarray, frames: int) -> np.ndarray:
+    count = len(video) // frames
+    return video[: count * frames].reshape(count, frames, *video.shape[1:])
+
+
+def _counts(recordings: int, validation: float, test: float, frames: int) -> tuple[int, int, int]:
+    held = max(1, round(validation * recordings)), max(1, round(test * recordings))
+    if recordings - sum(held) < 1:
+        raise KeycldError(
+            f"the videos give {recordings} recordings of {frames} frames, but training, validation and test need "
+            "one each: take a longer video, shorter recordings, or a higher fps."
+        )
+    return recordings - sum(held), *held
+
+
+def _trajectories(image: np.ndarray, rate: float, attributes: dict[str, Any]) -> Trajectories:
+    return Trajectories(
+        time=np.arange(1, image.shape[1] + 1) / rate,
+        input=np.zeros((len(image), 0), np.float32),
+        image=image,
+        attributes=attributes,
+    )

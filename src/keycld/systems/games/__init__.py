@@ -1,0 +1,1 @@
+"""Two-player games with replicator dynamics, shown as their joint strategy."""

@@ -1,0 +1,1 @@
+"""Molecular dynamics: particles in a periodic square, shown as soft discs."""

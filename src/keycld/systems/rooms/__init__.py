@@ -1,0 +1,1 @@
+"""Rooms with still objects and a moving camera, rendered by MuJoCo."""

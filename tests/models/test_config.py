@@ -1,0 +1,79 @@
+"""Configs by name: every setting is typed, documented, checked, saved and read back."""
+
+import ast
+import dataclasses
+import inspect
+import json
+import subprocess
+import sys
+
+import pytest
+
+from keycld import KeycldError
+from keycld.models import config_for, models
+
+
+def test_settings_are_changed_by_name_and_checked():
+    config = config_for("keycld", "fast", joint={"horizons": [8]}, sigma=1)
+    assert config.settings()["sigma"] == 1.0 and config.settings()["joint"]["horizons"] == [8]
+    assert config_for("keycld", "fast", **{"vision.steps": 7}).settings()["vision"]["steps"] == 7
+    for settings, words in (
+        ({"vision": {"step": 3}}, "did you mean 'vision.steps'"),
+        ({"first_frame": 3}, "did you mean 'first_frames'"),
+        ({"vision": 3}, "setting vision of preset 'fast' is a group"),
+        ({"given": 0}, "given is at least 1, not 0"),
+        ({"vision": {"batch": 0}}, "batch is at least 1, not 0"),
+        ({"joint": {"rate": -1.0}}, "joint.rate is a finite number of at least 0, not -1"),
+        ({"joint": {"rate": float("nan")}}, "joint.rate is a finite number of at least 0, not nan"),
+        ({"vision": {"steps": "many"}}, "setting vision.steps of preset 'fast' takes a int"),
+    ):
+        with pytest.raises(KeycldError, match=words):
+            config_for("keycld", "fast", **settings)
+
+
+def test_models_and_presets_that_nobody_registered_are_refused_with_the_choices():
+    with pytest.raises(KeycldError, match="unknown preset of model 'keycld' 'fsat'.*did you mean 'fast'"):
+        config_for("keycld", "fsat")
+    with pytest.raises(KeycldError, match="unknown model 'keycdl'.*did you mean 'keycld'"):
+        config_for("keycdl")
+
+
+EVERY = [(name, preset) for name, entry in models().items() for preset in entry.presets]
+
+
+@pytest.mark.parametrize(("name", "preset"), EVERY)
+def test_every_config_survives_json(name, preset):
+    config = config_for(name, preset).completed()
+    assert (config.model, config.preset) == (name, preset)
+    assert config_for(name, preset, **json.loads(json.dumps(config.settings()))) == config
+
+
+@pytest.mark.parametrize(("name", "preset"), EVERY)
+def test_every_setting_is_documented(name, preset):
+    """Each field is followed by its line of documentation, in its own class or in the one it comes from."""
+
+    def check(kind):
+        told = set()
+        for base in kind.__mro__:
+            if dataclasses.is_dataclass(base):
+                body = ast.parse(inspect.getsource(base).lstrip()).body[0].body
+                for field, text in zip(body, body[1:], strict=False):
+                    if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
+                        told.add(field.target.id)
+        for field in dataclasses.fields(kind):
+            assert field.name in told, f"{kind.__name__}.{field.name}"
+            if dataclasses.is_dataclass(field.default):
+                check(type(field.default))
+
+    check(type(config_for(name, preset)))
+
+
+def test_configs_import_without_jax():
+    code = (
+        "import sys; from keycld.models import config_for, models\n"
+        "for name, entry in models().items():\n"
+        "    for preset in entry.presets: config_for(name, preset)\n"
+        "assert 'jax' not in sys.modules"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
