@@ -21,4 +21,5 @@ def over_frames(function: Callable[[Any], PyTree], frames: PyTree, at_once: int)
     """
     if jax.tree.leaves(frames)[0].shape[0] <= at_once:
         return jax.vmap(function)(frames)
-    return jax.lax.map(jax.checkpoint(function), frames, batch_size=at_once)
+    # A function around `function`, because `checkpoint` hashes what it is given, and a module may be traced.
+    return jax.lax.map(jax.checkpoint(lambda frame: function(frame)), frames, batch_size=at_once)
