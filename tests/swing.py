@@ -19,7 +19,7 @@ from keycld.mechanics import (
     State,
     joining_velocity,
 )
-from keycld.models import AbstractModel
+from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
 from keycld.systems import AbstractSystem
 from keycld.vision import Observation, image_grid
 from scenes import DT, SIZE
@@ -49,13 +49,17 @@ class Torque(eqx.Module):
         return (6.0 * jnp.stack([-x[1], x[0]]))[:, None]
 
 
-class Swing(AbstractModel):
+class Swing(AbstractModel, Reversible, HasKeypoints, HasLagrangian):
     """Centroid → constrained Lagrangian → soft disc. With gravity 5.4 it is right; any other value is wrong."""
 
     dynamics: MechanicalDynamics
 
     context: ClassVar[int] = 2
-    reversible: ClassVar[bool] = True
+    constants: ClassVar[None] = None
+
+    @property
+    def law(self):
+        return self.dynamics.law
 
     @classmethod
     def right(cls, gravity: float = 9.0 * RADIUS) -> "Swing":
@@ -74,6 +78,10 @@ class Swing(AbstractModel):
 
     def keypoints(self, state):
         return state.coordinates.x.reshape(1, 2)
+
+    def at_rest(self, keypoints):
+        x = keypoints.reshape(-1)
+        return State(Motion(x, jnp.zeros_like(x)), {"constants": self.law.constraint(x)})
 
     def infer(self, frames, dt, u):
         law = self.dynamics.law
@@ -100,16 +108,9 @@ class Still(AbstractModel):
     """No keypoints, no energies, no motion: shows the first given frame for ever."""
 
     context: ClassVar[int] = 1
-    reversible: ClassVar[bool] = False
 
     def anchor(self, n):
         return 0
-
-    def observe(self, frame):
-        return None
-
-    def keypoints(self, state):
-        return None
 
     def infer(self, frames, dt, u):
         return State(frames[0], {})

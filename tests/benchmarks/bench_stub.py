@@ -15,7 +15,7 @@ import numpy as np
 from keycld import KeycldError
 from keycld.benchmarks import child
 from keycld.benchmarks.results import condense, write_json
-from keycld.evaluation import Evaluation, save_evaluation, statistics
+from keycld.evaluation import Evaluation, save_evaluation, statistics, valid_prediction_time
 
 STEPS = 4
 
@@ -56,7 +56,7 @@ def train_model(experiment, place):
 
 
 def begin(experiment, run):
-    write(run / "config.json", {"settings": experiment.recipe().settings()})
+    write(run / "config.json", {"settings": experiment.config().settings()})
     machine = {"processor": "stub", "cores": 2, "devices": ["cpu"], "packages": {}, "python": "3"}
     write(run / "environment.json", {"commit": "c0ffee", **machine})
 
@@ -88,17 +88,25 @@ def fake_evaluation(protocol, vpt, trajectories=4):
     scores = {
         "protocol": {"name": protocol.name, "given": protocol.given, "horizon": protocol.horizon},
         "dt": 0.05,
-        "vpt": {f"{factor:g}": {**summary, "frames": [1] * trajectories} for factor in protocol.factors},
+        "vpt": {f"{each:g}": {**summary, "frames": passed(errors, 1e-3 * each)} for each in protocol.thresholds},
+        "metric": protocol.metric,
+        "direction": protocol.direction,
+        "part": list(protocol.part),
+        "threshold": 1e-3,
         "mse": 1e-3,
         "epsilon": 1e-3,
         "baselines": {
-            name: {"vpt": {f"{factor:g}": {"mean": 0.2} for factor in protocol.factors}} for name in baselines
+            name: {"vpt": {f"{threshold:g}": {"mean": 0.2} for threshold in protocol.thresholds}} for name in baselines
         },
         "masses": [1.0],
     }
     arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}
     arrays["time"] = 0.05 * np.arange(protocol.horizon)
     return Evaluation(scores, arrays)
+
+
+def passed(errors, threshold):
+    return valid_prediction_time(errors, threshold).tolist()
 
 
 def record(experiment, place, vpt, seconds=60.0):

@@ -6,12 +6,14 @@ import pytest
 import scenes
 from keycld import KeycldError
 from keycld.data import DataSet, write
-from keycld.evaluation import baseline_errors, references
+from keycld.evaluation import Protocol, baseline_predictions, frame_errors, references
 from keycld.evaluation.baselines import extrapolate
 from keycld.evaluation.geometry import difference, embed, nearest
 from swing import without_pictures
 
 ANGLE = np.array([True])
+FORWARD = Protocol("all", "test", 24)
+BACKWARD = dataclasses.replace(FORWARD, direction="backward")
 
 
 @pytest.fixture(scope="module")
@@ -20,6 +22,10 @@ def data(tmp_path_factory):
     for k, (name, count) in enumerate((("train", 150), ("validation", 6), ("test", 6))):
         write(folder / f"{name}.h5", scenes.disc_pendulum(count, 24, seed=k))
     return DataSet(folder, None)
+
+
+def errors_of(window, protocol, shared):
+    return {name: frame_errors(window.image, found) for name, found in baseline_predictions(window, protocol, shared)}
 
 
 def test_a_parabola_is_continued_exactly():
@@ -42,23 +48,43 @@ def test_nearest_configuration_is_found_across_the_cut_of_the_angle():
 
 
 def test_baselines_know_what_they_should(data):
-    test = data.test()
     shared = references(data)
-    errors = baseline_errors(test, 24, 2, shared)
+    errors = errors_of(data.test(), FORWARD, shared)
     assert set(errors) == {"mean image", "frozen frame", "constant acceleration"}
     np.testing.assert_array_equal(errors["frozen frame"][:, :2], 0.0)
     assert errors["frozen frame"][:, 5:].mean() > errors["frozen frame"][:, 2].mean()
     assert errors["mean image"].mean() == pytest.approx(shared.epsilon, rel=0.2)
-    # Told the true states, the parabola is best at first and wrong after a quarter of a swing.
+    # With the true states, the parabola is best at first and wrong after a quarter of a swing.
     early, late = errors["constant acceleration"][:, :5].mean(), errors["constant acceleration"][:, -4:].mean()
     assert early < 0.2 * shared.epsilon
     assert late > 5 * early
 
 
+def test_the_past_is_the_future_of_the_reversed_motion(data):
+    shared, test = references(data), data.test()
+    reversed_ = dataclasses.replace(test, image=test.image[:, ::-1].copy(), state=test.state[:, ::-1].copy())
+    backward, forward = errors_of(test, BACKWARD, shared), errors_of(reversed_, FORWARD, shared)
+    for name, errors in forward.items():
+        np.testing.assert_array_equal(backward[name], errors[:, ::-1])
+
+
 def test_without_true_states_two_baselines_remain(data):
-    shared = references(data)
     test = dataclasses.replace(data.test(), state=None)
-    assert set(baseline_errors(test, 10, 2, shared)) == {"mean image", "frozen frame"}
+    assert set(errors_of(test, FORWARD, references(data))) == {"mean image", "frozen frame"}
+
+
+def test_large_sets_are_read_in_part(data, monkeypatch):
+    """At most 40 of 150 trajectories, evenly spread, and about 100 of their frames; the result says how many."""
+    monkeypatch.setattr("keycld.evaluation.reference_images._MOST_TRAJECTORIES", 40)
+    monkeypatch.setattr("keycld.evaluation.reference_images._MOST_RETRIEVED", 100)
+    shared = references(data)
+    train = data.train()
+    # Every fourth trajectory; 38 · 24 frames in steps of 11, the first number from 10 on without a factor of 24.
+    np.testing.assert_allclose(shared.mean_image, train.image[::4].mean(axis=(0, 1)) / 255.0, atol=1e-6)
+    picked = train.image[::4].reshape(-1, 16, 16, 3)[::11]
+    np.testing.assert_array_equal(shared.images, picked)
+    np.testing.assert_array_equal(shared.states, train.state[::4].reshape(-1, 2)[::11])
+    assert shared.sources == {"validation_trajectories": 6, "train_trajectories": 38, "retrieved_frames": len(picked)}
 
 
 def test_data_without_pictures_are_refused(tmp_path):

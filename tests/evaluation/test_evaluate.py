@@ -12,10 +12,12 @@ from keycld.evaluation import (
     evaluate,
     evaluate_sweeps,
     load_evaluation,
+    reading,
     references,
     save_evaluation,
     summary,
 )
+from keycld.evaluation.predicting import batch_size
 from swing import RADIUS, DiscSystem, Still, Swing
 
 PROTOCOL = Protocol("test@20", "test", 20, shown=3)
@@ -104,10 +106,11 @@ def test_only_the_given_frames_and_inputs_reach_the_model(data, shared):
     """Later pictures and all true states are spoiled; the prediction must stay the same."""
 
     class Spoiled(DataSet):
-        def split(self, name, *, images=True):
-            found = super().split(name, images=images)
-            image = found.image.copy()
-            image[:, PROTOCOL.given :] = 77
+        def split(self, name, **choice):
+            found = super().split(name, **choice)
+            image = None if found.image is None else found.image.copy()
+            if image is not None:
+                image[:, PROTOCOL.given :] = 77
             return dataclasses.replace(found, image=image, state=0 * found.state)
 
     honest = evaluate(Swing.right(), data, PROTOCOL, shared=shared).arrays
@@ -133,8 +136,8 @@ def test_input_that_changes_with_time(data, shared):
     """The same input, once constant and once written for every frame."""
 
     class Varying(DataSet):
-        def split(self, name, *, images=True):
-            found = super().split(name, images=images)
+        def split(self, name, **choice):
+            found = super().split(name, **choice)
             u = np.repeat(found.input[:, None], found.frames, axis=1)
             return dataclasses.replace(found, input=u)
 
@@ -164,7 +167,103 @@ def test_results_survive_the_disk(data, shared, known, tmp_path):
     assert {p.name for p in path.parent.iterdir()} == {"test@20.json", "test@20.npz"}
 
 
-def test_the_summary_shows_the_baselines_beside_the_model(data, shared):
+def test_results_of_version_0_1_can_still_be_read(data, shared, tmp_path):
+    result = evaluate(Swing.right(), data, PROTOCOL, shared=shared)
+    for name in ("metric", "direction", "part", "threshold", "references"):
+        del result.scores[name]
+    save_evaluation(tmp_path, "old", result)
+    old = load_evaluation(tmp_path, "old")
+    assert old.scores["metric"] == "squared" and old.scores["part"] == [0, 20]
+    assert old.valid.shape == (7, 20) and old.valid.all()
+
+
+def test_a_motion_that_is_taken_up_is_scored_from_there(data, shared, known):
+    """Earlier frames are neither shown nor scored, and the disc is already moving at the first given frame."""
+    protocol = Protocol("test@14-from-10", "test", 14, start=10, shown=3)
+    result = evaluate(Swing.right(), data, protocol, shared=shared)
+    test = data.test()
+    np.testing.assert_array_equal(result.arrays["truth"], test.image[:3, 10:])
+    assert result.scores["vpt"]["1"]["mean"] > 0.9
+    assert np.abs(test.state[:, 10, 1]).min() > 0.1
+
+    class Spoiled(DataSet):
+        def split(self, name, **choice):
+            found = super().split(name, **choice)
+            if found.image is not None and name == "test":
+                found.image[:, :10] = 77
+            return found
+
+    spoiled = evaluate(Swing.right(), Spoiled(data.folder, data.constraints_file), protocol, shared=shared)
+    np.testing.assert_array_equal(spoiled.arrays["mse"], result.arrays["mse"])
+    np.testing.assert_array_equal(
+        spoiled.arrays["baseline_mse_frozen_frame"], result.arrays["baseline_mse_frozen_frame"]
+    )
+
+
+def test_the_past_is_predicted_from_the_last_frames(data, shared, known):
+    """A good law runs backward as well as forward; one that is good at first is credited for its near frames."""
+    backward = Protocol("back", "test", 20, direction="backward")
+    right = evaluate(Swing.right(), data, backward, shared=shared)
+    assert right.scores["vpt"]["1"]["mean"] > 0.9 and right.scores["direction"] == "backward"
+    assert "energy" not in right.scores["drift"]
+    wrong = evaluate(Swing.right(gravity=2.0), data, backward, shared=shared)
+    for errors, valid, frames in zip(wrong.errors, wrong.valid, wrong.vpt["frames"], strict=True):
+        assert frames > 0 and errors[-1] <= shared.epsilon
+        assert valid[20 - frames :].all() and not valid[: 20 - frames].any()
+    # The frozen frame is the first of the given ones: it is right at the end of the window and wrong at its beginning.
+    frozen = wrong.arrays["baseline_mse_frozen_frame"]
+    np.testing.assert_array_equal(frozen[:, -2:], 0.0)
+    assert frozen[:, 0].mean() > frozen[:, -3].mean()
+
+
+def test_the_extrapolation_is_scored_as_in_the_second_paper(data, shared):
+    """Normalised error, VPT relative to the frames from 8 on, and means over both parts in the tables' units."""
+    protocol = Protocol(
+        "priors", "test", 20, given=3, metric="normalised", thresholds=(0.025,), scored_from=8, trajectories=5
+    )
+    result = evaluate(Swing.right(gravity=4.0), data, protocol, shared=shared)
+    scores, errors = result.scores, result.arrays["normalised_error"]
+    assert scores["n"] == 5 and errors.shape == (5, 20) and scores["part"] == [8, 20]
+    assert scores["threshold"] == 0.025
+    crossed = errors[:, 8:] > 0.025
+    expected = np.where(crossed.any(axis=1), crossed.argmax(axis=1), 12)
+    assert scores["vpt"]["0.025"]["frames"] == expected.tolist() and 0 < expected.mean() < 12
+    assert scores["vpt"]["0.025"]["mean"] == pytest.approx(expected.mean() / 12)
+    assert scores["normalised_error"]["extrapolation"] == pytest.approx(errors[:, 8:].mean())
+    assert scores["normalised_error"]["train"] == pytest.approx(errors[:, 2:8].mean())
+    assert scores["table_units"]["train"] == pytest.approx(1e7 / 3072 * errors[:, 2:8].mean())
+    assert set(scores["baselines"]["mean image"]["vpt"]) == {"0.025"}
+    assert result.valid[:, :8].all()
+    text = summary(scores)
+    assert "VPT 0.025" in text and "frames 8 to 19 scored" in text and "tables 5 and 6" in text
+
+
+def test_small_blocks_change_no_number(data, shared, known, monkeypatch):
+    """Training pictures of two recordings at a time, scored ones in whole batches: the same numbers."""
+    whole = evaluate(Swing.right(), data, PROTOCOL, shared=shared)
+    monkeypatch.setattr(reading, "_BLOCK_BYTES", 2.5 * 24 * 16 * 16 * 3)
+    rows = {"train": [], "validation": [], "test": []}
+
+    class Watched(DataSet):
+        def split(self, name, *, images=True, **choice):
+            found = super().split(name, images=images, **choice)
+            rows[name].append(len(found) if images else 0)
+            return found
+
+    watched = Watched(data.folder, data.constraints_file)
+    again = references(watched)
+    blocked = evaluate(Swing.right(), watched, PROTOCOL, shared=again)
+    assert max(rows["train"]) == max(rows["validation"]) == 2 and max(rows["test"]) == batch_size(20) < 7
+    assert again.epsilon == shared.epsilon
+    np.testing.assert_array_equal(again.mean_image, shared.mean_image)
+    np.testing.assert_array_equal(again.images, shared.images)
+    for name in ("baseline_mse_mean_image", "baseline_mse_frozen_frame", "baseline_mse_constant_acceleration"):
+        np.testing.assert_array_equal(blocked.arrays[name], whole.arrays[name])
+    np.testing.assert_array_equal(blocked.arrays["mse"], whole.arrays["mse"])
+    assert blocked.scores == whole.scores
+
+
+def test_the_summary_shows_the_baselines_next_to_the_model(data, shared):
     text = summary(evaluate(Swing.right(), data, PROTOCOL, shared=shared).scores)
     assert "this model" in text and "1.000" in text
     for name in ("mean image", "frozen frame", "constant acceleration"):
@@ -174,8 +273,12 @@ def test_the_summary_shows_the_baselines_beside_the_model(data, shared):
 def test_what_cannot_be_scored_is_named(data, shared, tmp_path):
     with pytest.raises(KeycldError, match="scores 30 frames of test.h5, which has 24 frames"):
         evaluate(Swing.right(), data, Protocol("long", "test", 30), shared=shared)
+    with pytest.raises(KeycldError, match="scores 20 frames from frame 10 on of test.h5, which has 24 frames"):
+        evaluate(Swing.right(), data, Protocol("late", "test", 20, start=10), shared=shared)
     with pytest.raises(KeycldError, match="needs 2 given frames"):
         evaluate(Swing.right(), data, Protocol("one", "test", 10, given=1), shared=shared)
+    with pytest.raises(KeycldError, match="'past' predicts the past, but this model cannot run backward"):
+        evaluate(Still(), data, Protocol("past", "test", 10, direction="backward"), shared=shared)
     with pytest.raises(KeycldError, match="run `keycld eval`"):
         load_evaluation(tmp_path, "test@50")
     (tmp_path / "evaluation").mkdir()

@@ -43,6 +43,18 @@ def test_pictures_after_the_given_ones_change_nothing(source, tmp_path):
         np.testing.assert_array_equal(a["image"][...], b["image"][...])
 
 
+def test_frames_in_the_middle_are_given(source, tmp_path):
+    """From frames 5 and 6 a reversible model knows what was before; one that is not reversible refuses."""
+    truth = scenes.disc_pendulum(5, 12, seed=4).image / 255.0
+    with h5py.File(predict_file(Swing.right(), source, tmp_path / "out.h5", first=5)) as file:
+        assert np.mean((file["image"][...] - truth) ** 2) < 1e-3
+        assert file.attrs["first_given_frame"] == 5
+    with pytest.raises(KeycldError, match="cannot run backward, so the first given frame is 0, not 5"):
+        predict_file(Still(), source, tmp_path / "out.h5", first=5)
+    with pytest.raises(KeycldError, match="frames 11 to 12 are to be given, but .* frames 0 to 11"):
+        predict_file(Swing.right(), source, tmp_path / "out.h5", first=11)
+
+
 def test_a_model_without_keypoints_writes_none(source, tmp_path):
     with h5py.File(predict_file(Still(), source, tmp_path / "out.h5")) as file:
         assert "image" in file and "keypoints" not in file

@@ -109,7 +109,7 @@ class Experiment:
     def from_json(cls, text: str) -> "Experiment":
         """What `to_json` wrote."""
         fields = json.loads(text)
-        protocols = tuple(Protocol(**{**each, "factors": tuple(each["factors"])}) for each in fields["protocols"])
+        protocols = tuple(Protocol(**{**each, "thresholds": tuple(each["thresholds"])}) for each in fields["protocols"])
         return cls(**{**fields, "data": DataRecipe(**fields["data"]), "protocols": protocols})
 
 

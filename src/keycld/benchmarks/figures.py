@@ -10,17 +10,17 @@ from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.suites import MODEL_TITLES
 from keycld.benchmarks.table import data_labels, done_results
 from keycld.drawing import INK, Curve, Limit, panels_figure
-from keycld.evaluation import Protocol
+from keycld.evaluation import METRICS, Protocol, threshold_text
 
 # A model keeps its colour in every figure, also where others are missing.
 _COLOURS = dict(zip(MODEL_TITLES, INK.cycle, strict=False))
 
 
 def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Protocol) -> Figure | None:
-    """Mean squared error over time, one curve a model, with the dashed threshold ε; None without any result.
+    """Plot the error over time, one curve a model, with the dashed headline threshold; None without any result.
 
     A curve is the mean over trajectories, then over seeds; its band the 10th and the 90th percentile of the
-    trajectories, each the mean over seeds. The paper draws 20 validation runs of one seed.
+    trajectories, each the mean over seeds. The paper shows 20 validation recordings of one seed.
     """
     results = done_results(experiments, place)
     labels = [label for label in data_labels(experiments) if any(each.data.label == label for each, _ in results)]
@@ -36,11 +36,12 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
         ]
         # The legend is read off the first panel, so every model is in it, also one without a result there.
         panels.append((label, curves))
-        limits.append(Limit(here[0][1]["scores"][protocol.name]["epsilon"], "ε"))
+        threshold = protocol.limit(protocol.thresholds[0], here[0][1]["scores"][protocol.name]["epsilon"])
+        limits.append(Limit(threshold, threshold_text(protocol.metric, f"{protocol.thresholds[0]:g}")))
     figure = panels_figure(
         panels,
         "frame",
-        y_label="mean squared error",
+        y_label=METRICS[protocol.metric],
         columns=3 if len(labels) <= 3 else 4,
         logarithmic=True,
         limits=limits,

@@ -47,15 +47,15 @@ def gallery(experiments: Sequence[Experiment], place: Place, label: str, protoco
     """
     predictions, valid, seeds = {}, {}, {}
     known = None
-    for experiment, result in done_results(experiments, place):
+    for experiment, _ in done_results(experiments, place):
         title = MODEL_TITLES[experiment.model]
         if experiment.data.label != label or title in predictions:
             continue
         with contextlib.suppress(KeycldError):  # a run folder may be gone
-            known = load_evaluation(place.run(experiment), protocol.name).arrays
-            good = np.logical_and.accumulate(known["mse"][0] <= result["scores"][protocol.name]["epsilon"])
+            stored = load_evaluation(place.run(experiment), protocol.name)
+            known = stored.arrays
             predictions[title] = known["prediction"][0]
-            valid[title] = good[known["shown_index"]]
+            valid[title] = stored.valid[0, known["shown_index"]]
             seeds[title] = experiment.seed
     if known is None:
         return None

@@ -18,7 +18,7 @@ _CURVE_POINTS = 50
 
 
 def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) -> dict[str, Any]:
-    """What is worth keeping of a run that is trained and evaluated.
+    """Return what is worth keeping of a run that is trained and evaluated.
 
     Args:
         experiment: which one.
@@ -60,7 +60,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
 
 
 def command(experiment: Experiment) -> str:
-    """What does this experiment alone, data and scores included."""
+    """Return the command that does this experiment alone, data and scores included."""
     words = ["keycld bench run", experiment.suite, "--only", experiment.name, "--seeds", str(experiment.seed)]
     words += ["--models", experiment.model, "--preset", experiment.preset]
     if experiment.settings:
@@ -75,11 +75,12 @@ def _value(value: Any) -> str:
 
 
 def _scores(scores: dict[str, Any]) -> dict[str, Any]:
-    """The scores of one protocol without what belongs to single trajectories."""
-    known = ("state", "drift", "masses", "frames_passed")
+    """Return the scores of one protocol without what belongs to single trajectories."""
+    known = ("normalised_error", "table_units", "state", "drift", "masses", "frames_passed")
     return {
         "given": scores["protocol"]["given"],
         "horizon": scores["protocol"]["horizon"],
+        **{name: scores[name] for name in ("metric", "direction", "part", "threshold")},
         "vpt": {
             factor: {name: value for name, value in vpt.items() if name != "frames"}
             for factor, vpt in scores["vpt"].items()
@@ -95,11 +96,11 @@ def _scores(scores: dict[str, Any]) -> dict[str, Any]:
 
 
 def _curve(result: Evaluation) -> dict[str, Any]:
-    """Mean squared error over time: 50 frames, their mean over trajectories, 10th and 90th percentile.
+    """Return the error over time: 50 frames, their mean over trajectories, 10th and 90th percentile.
 
     An error that is not finite stands at the largest finite one; `not_finite` is the share of such frames.
     """
-    errors = result.arrays["mse"]
+    errors = result.errors
     finite = np.isfinite(errors)
     top = float(np.max(errors[finite], initial=0.0))
     errors = np.where(finite, errors, top)
@@ -116,7 +117,7 @@ def _curve(result: Evaluation) -> dict[str, Any]:
 
 
 def _rounded(values: np.ndarray) -> list[float]:
-    """Four digits are more than a figure shows."""
+    """Return values with four digits, more than a figure shows."""
     return [float(f"{value:.4g}") for value in values]
 
 
@@ -128,7 +129,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """What `write_json` wrote, or None where there is no such file.
+    """Read what `write_json` wrote, or None where there is no such file.
 
     Raises:
         KeycldError: the file is damaged.
@@ -142,7 +143,7 @@ def read_json(path: Path) -> dict[str, Any] | None:
 
 
 def record_failure(experiment: Experiment, place: Place, during: str, kind: str, sentence: str) -> None:
-    """Write down what went wrong, for `bench status`; the next `bench run` tries again."""
+    """Record what went wrong, for `bench status`; the next `bench run` tries again."""
     failure = {
         "experiment": experiment.name,
         "command": command(experiment),

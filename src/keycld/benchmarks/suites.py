@@ -51,7 +51,7 @@ class Suite:
         preset: str = "fast",
         settings: dict[str, Any] | None = None,
     ) -> tuple[Experiment, ...]:
-        """The experiments that fit, in the order in which they are done: seeds, then models, then data.
+        """Select the experiments that fit, in the order in which they are done: seeds, then models, then data.
 
         Args:
             only: a part of the name.
@@ -118,7 +118,7 @@ SUITES = {
 
 
 def suite_named(name: str) -> Suite:
-    """The suite of that name.
+    """Return the suite of that name.
 
     Raises:
         KeycldError: there is none; names the nearest.
@@ -129,7 +129,7 @@ def suite_named(name: str) -> Suite:
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
-    """Seeds such as `0,1,2`.
+    """Read seeds such as `0,1,2`.
 
     Raises:
         KeycldError: a part is not a whole number of at least 0.

@@ -4,13 +4,13 @@ import csv
 import io
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.status import Status, status_of
 from keycld.benchmarks.suites import MODEL_TITLES
-from keycld.evaluation import PAPER_VPT, Protocol
+from keycld.evaluation import PAPER_VPT, Protocol, protocol_named, threshold_text
 
 
 class Cell(NamedTuple):
@@ -53,13 +53,13 @@ class Table:
     digits: int = 3
 
     def texts(self, row: Row) -> list[str]:
-        """The cells of a row as words: a dash for a score that is not there, the paper's with its two digits."""
+        """Return the cells of a row as words: a dash for a score that is not there, the paper's with its two digits."""
         digits = 2 if row.kind == "paper" else self.digits
         return ["–" if cell is None else cell.text(digits) for cell in row.cells]
 
 
 def over_seeds(values: Sequence[float]) -> Cell:
-    """Mean and sample standard deviation (n − 1) of one score over seeds; no spread for a single one."""
+    """Return mean and sample standard deviation (n − 1) of one score over seeds; no spread for a single one."""
     n = len(values)
     mean = sum(values) / n
     spread = math.sqrt(sum((value - mean) ** 2 for value in values) / (n - 1)) if n > 1 else None
@@ -67,15 +67,15 @@ def over_seeds(values: Sequence[float]) -> Cell:
 
 
 def tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
-    """One table for each protocol and threshold, and one of the training times.
+    """Make one table for each protocol and threshold, and one of the training times.
 
     Only results that are done count (`status_of`): stale ones are left out.
     """
     results = done_results(experiments, place)
     found = []
     for protocol in experiments[0].protocols:
-        for factor in protocol.factors:
-            found.append(_scores(experiments, results, protocol, f"{factor:g}"))
+        for threshold in protocol.thresholds:
+            found.append(_scores(experiments, results, protocol, f"{threshold:g}"))
     minutes = _ours(experiments, results, lambda result: result["training"]["seconds"] / 60.0)
     columns = data_labels(experiments)
     title = "minutes of training, wall-clock; mean ± standard deviation over seeds (number of seeds)"
@@ -83,13 +83,13 @@ def tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]
 
 
 def done_results(experiments: Sequence[Experiment], place: Place) -> list[tuple[Experiment, dict[str, Any]]]:
-    """Experiments that are done, with their results."""
+    """Return experiments that are done, with their results."""
     found: list[tuple[Experiment, Status]] = [(each, status_of(each, place)) for each in experiments]
     return [(each, status.result) for each, status in found if status.word == "done" and status.result is not None]
 
 
 def provenance(experiments: Sequence[Experiment], place: Place) -> str:
-    """Which commits scored the results of each model; those of several commits need not be of one recipe."""
+    """Say which commits scored the results of each model; those of several commits need not be of one recipe."""
     found: dict[str, dict[str, int]] = {}
     for experiment, result in done_results(experiments, place):
         commits = found.setdefault(MODEL_TITLES[experiment.model], {})
@@ -100,7 +100,7 @@ def provenance(experiments: Sequence[Experiment], place: Place) -> str:
 
 
 def data_labels(experiments: Sequence[Experiment]) -> tuple[str, ...]:
-    """The data sets, each once, in the experiments' order."""
+    """Return the data sets, each once, in the experiments' order."""
     return tuple(dict.fromkeys(experiment.data.label for experiment in experiments))
 
 
@@ -108,30 +108,33 @@ def _scores(
     experiments: Sequence[Experiment],
     results: Sequence[tuple[Experiment, dict[str, Any]]],
     protocol: Protocol,
-    factor: str,
+    threshold: str,
 ) -> Table:
     columns = data_labels(experiments)
-    rows = _ours(experiments, results, lambda result: result["scores"][protocol.name]["vpt"][factor]["mean"])
+    rows = _ours(experiments, results, lambda result: result["scores"][protocol.name]["vpt"][threshold]["mean"])
     first = {each.data.label: result["scores"][protocol.name]["baselines"] for each, result in reversed(results)}
     names = dict.fromkeys(name for baselines in first.values() for name in baselines)
     for name in names:
         scores = [first.get(column, {}).get(name) for column in columns]
-        rows += (Row(name, "trivial", tuple(None if s is None else Cell(s[factor], None, 0) for s in scores)),)
-    if _published(experiments[0], protocol) and factor == "1":
+        rows += (Row(name, "trivial", tuple(None if s is None else Cell(s[threshold], None, 0) for s in scores)),)
+    if _published(experiments[0], protocol) and threshold == "1":
         for title in MODEL_TITLES.values():
             values = [PAPER_VPT[column][title] for column in columns]
             rows += (Row(f"paper: {title}", "paper", tuple(Cell(value, None, 0) for value in values)),)
-    threshold = {"1": "ε", "0.25": "ε/4"}.get(factor, f"{factor} ε")
+    first_frame, stop = protocol.part
+    word, end = threshold_text(protocol.metric, threshold), "last " if protocol.backward else ""
     title = (
-        f"VPT as a part of {protocol.horizon} frames, {protocol.split}.h5, threshold {threshold}, {protocol.given} "
+        f"VPT as a part of {stop - first_frame} frames, {protocol.split}.h5, threshold {word}, {end}{protocol.given} "
         "frames given; mean ± standard deviation over seeds (number of seeds)"
     )
-    return Table(protocol.name + ("" if factor == "1" else f" {threshold}"), title, columns, rows)
+    headline = threshold == f"{protocol.thresholds[0]:g}"
+    return Table(protocol.name + ("" if headline else f" {word}"), title, columns, rows)
 
 
 def _published(experiment: Experiment, protocol: Protocol) -> bool:
-    """Whether the paper's Table 1 is about this: its data, two given frames, 50 scored (20 validation runs)."""
-    return experiment.data.protocol == "keycld-2022" and protocol.given == 2 and protocol.horizon == 50
+    """Return whether the paper's Table 1 is about this: its data, the first two of 50 frames given."""
+    same = protocol_named(f"{protocol.split}@50")
+    return experiment.data.protocol == "keycld-2022" and replace(protocol, shown=same.shown) == same
 
 
 def _ours(
@@ -152,7 +155,7 @@ def _ours(
 
 
 def as_text(table: Table) -> str:
-    """A table for a terminal."""
+    """Return a table for a terminal."""
     cells = [table.texts(row) for row in table.rows]
     first = max(len(row.name) for row in table.rows)
     widths = [max(len(text) for text in column) for column in zip(table.columns, *cells, strict=True)]
@@ -163,7 +166,7 @@ def as_text(table: Table) -> str:
 
 
 def as_markdown(table: Table) -> str:
-    """A table for a page."""
+    """Return a table for a page."""
     lines = [f"**{table.name}**: {table.title}.", "", f"| | {' | '.join(table.columns)} |"]
     lines.append("|---" * (1 + len(table.columns)) + "|")
     for row in table.rows:
@@ -172,7 +175,7 @@ def as_markdown(table: Table) -> str:
 
 
 def as_csv(found: Sequence[Table]) -> str:
-    """All tables in one, one line a cell: table, row, kind, column, mean, spread, n (0 for what has no seeds)."""
+    """Return all tables in one, one line a cell: table, row, kind, column, mean, spread, n (0 without seeds)."""
     with io.StringIO(newline="") as buffer:
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(["table", "row", "kind", "column", "mean", "spread", "n"])

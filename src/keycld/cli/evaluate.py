@@ -10,6 +10,8 @@ from keycld import KeycldError
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
+    from keycld.evaluation import Protocol
+    from keycld.models.base import AbstractModel
 
 
 def evaluate(
@@ -18,20 +20,23 @@ def evaluate(
     *,
     data: str | None = None,
     protocols: tuple[str, ...] = (),
+    json: bool = False,
 ) -> None:
-    """Score a trained run: VPT, error over time, true-state error, energies, and the trivial baselines beside them.
+    """Score a trained run: VPT, error over time, true-state error, energies, next to the trivial baselines.
 
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
-        data: Data set to score on; the one it was trained on unless told. Results on another one have its name in
-            theirs, such as test@50-mine.
-        protocols: Such as test@50, validation@50, test_long@200, test_long@500, or test@50-given-3; all that the data
-            has files for unless told.
+        data: Data set to score on; by default the one that the model was trained on. Results on another one have its
+            name in theirs, such as test@50-mine.
+        protocols: Such as test@50, validation@50, test_long@200 or test@256-priors; with -given-N, -from-K (recordings
+            taken up at frame K) or -backward behind it, such as test_long@50-from-30. By default all standard ones that
+            the data have files for.
+        json: Print all scores as JSON, by protocol, instead of tables.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
+    from keycld.evaluation import as_json, evaluate_sweeps, references, save_evaluation, summary
     from keycld.evaluation import evaluate as score
-    from keycld.evaluation import evaluate_sweeps, protocol_named, protocols_for, references, save_evaluation, summary
     from keycld.training import Counted, finished, load_run, pretrained, run_folder
 
     folder, asked = run_folder(run), data
@@ -46,23 +51,40 @@ def evaluate(
                 raise KeycldError(f"{data}, which {folder} was trained on, is not there: name a data set with --data.")
             data = str(data_for(config.system))
     dataset = open_data(data)
-    chosen = [protocol_named(name) for name in protocols] or protocols_for(dataset, model.context)
-    if not chosen:
-        raise KeycldError(f"{dataset.folder} has no file that a protocol scores (test.h5, validation.h5, …).")
+    chosen = _chosen(dataset, model, protocols)
     shared = references(dataset)
     own = asked in (None, config.data) or _holds(dataset, config.data_hash)
     suffix = "" if own else f"-{dataset.folder.resolve().name}"
+    scores = {}
     for protocol in chosen:
         result = score(model, dataset, protocol, shared=shared, progress=Counted(protocol.name))
         save_evaluation(folder, protocol.name + suffix, result)
-        print(summary(result.scores), flush=True)
+        scores[protocol.name + suffix] = result.scores
+        if not json:
+            print(summary(result.scores), flush=True)
     if own and "sweeps" in dataset.splits:
         save_evaluation(folder, "sweeps", evaluate_sweeps(model, dataset))
-    print(f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
+    print(as_json(scores) if json else f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
+
+
+def _chosen(dataset: "DataSet", model: "AbstractModel", names: tuple[str, ...]) -> "list[Protocol]":
+    """Return the named protocols, or the standard ones, that the model can be scored with."""
+    from keycld.evaluation import protocol_named, protocols_for
+    from keycld.models.base import Reversible
+
+    reversible = isinstance(model, Reversible)
+    if not reversible:
+        print("this model cannot run backward: it is scored forward only", file=sys.stderr)
+    named = [protocol_named(name) for name in names]
+    chosen = [each for each in named or protocols_for(dataset, model) if reversible or not each.backward]
+    if not chosen:
+        found = ", ".join(dataset.splits)
+        raise KeycldError(f"no protocol is left to score this model on {dataset.folder} (files: {found}): name others.")
+    return chosen
 
 
 def _holds(dataset: "DataSet", training: str | None) -> bool:
-    """Whether a data set has the training file of that checksum."""
+    """Return whether a data set has the training file of that checksum."""
     from keycld.data import sha256
 
     return "train" in dataset.splits and sha256(dataset.path("train")) == training

@@ -1,19 +1,26 @@
-"""How good is a prediction: metrics, protocols, trivial baselines, probes of what was learned."""
+"""How good a prediction is: metrics, protocols, trivial baselines, probes of what was learned."""
 
-from keycld.evaluation.baselines import References as References
-from keycld.evaluation.baselines import baseline_errors as baseline_errors
-from keycld.evaluation.baselines import references as references
+from keycld.data.describe.normalised_error import TABLE_UNITS as TABLE_UNITS
+from keycld.data.describe.normalised_error import THRESHOLD as DM_THRESHOLD
+from keycld.evaluation.baselines import baseline_predictions as baseline_predictions
 from keycld.evaluation.drift import constraint_drift as constraint_drift
 from keycld.evaluation.drift import energy_drift as energy_drift
 from keycld.evaluation.evaluate import Evaluation as Evaluation
 from keycld.evaluation.evaluate import evaluate as evaluate
-from keycld.evaluation.metrics import DM_THRESHOLD as DM_THRESHOLD
+from keycld.evaluation.evaluate import headline_vpt as headline_vpt
+from keycld.evaluation.geometry import difference as difference
+from keycld.evaluation.metrics import PixelMoments as PixelMoments
 from keycld.evaluation.metrics import epsilon as epsilon
 from keycld.evaluation.metrics import frame_errors as frame_errors
 from keycld.evaluation.metrics import mean_image as mean_image
 from keycld.evaluation.metrics import relative_errors as relative_errors
 from keycld.evaluation.metrics import statistics as statistics
 from keycld.evaluation.metrics import valid_prediction_time as valid_prediction_time
+from keycld.evaluation.named_protocols import PROTOCOLS as PROTOCOLS
+from keycld.evaluation.named_protocols import make_protocol as make_protocol
+from keycld.evaluation.named_protocols import protocol_named as protocol_named
+from keycld.evaluation.named_protocols import protocols_for as protocols_for
+from keycld.evaluation.observing import observed_states as observed_states
 from keycld.evaluation.predicting import Predicted as Predicted
 from keycld.evaluation.predicting import predict as predict
 from keycld.evaluation.predicting import predict_batch as predict_batch
@@ -21,45 +28,60 @@ from keycld.evaluation.prediction_file import predict_file as predict_file
 from keycld.evaluation.probe import Probe as Probe
 from keycld.evaluation.probe import fit_probe as fit_probe
 from keycld.evaluation.probe import invert_landmarks as invert_landmarks
+from keycld.evaluation.protocols import METRICS as METRICS
 from keycld.evaluation.protocols import Protocol as Protocol
-from keycld.evaluation.protocols import protocol_named as protocol_named
-from keycld.evaluation.protocols import protocols_for as protocols_for
-from keycld.evaluation.protocols import standard_protocols as standard_protocols
 from keycld.evaluation.published import PAPER_VPT as PAPER_VPT
+from keycld.evaluation.published import published_vpt as published_vpt
+from keycld.evaluation.reference_images import References as References
+from keycld.evaluation.reference_images import references as references
+from keycld.evaluation.storage import as_json as as_json
 from keycld.evaluation.storage import load_evaluation as load_evaluation
 from keycld.evaluation.storage import save_evaluation as save_evaluation
+from keycld.evaluation.summary import setting_text as setting_text
 from keycld.evaluation.summary import summary as summary
+from keycld.evaluation.summary import threshold_text as threshold_text
 from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
 
 __all__ = [
-    "DM_THRESHOLD",
-    "PAPER_VPT",
     "Evaluation",
+    "DM_THRESHOLD",
+    "METRICS",
+    "PAPER_VPT",
+    "PROTOCOLS",
+    "PixelMoments",
     "Predicted",
     "Probe",
     "Protocol",
     "References",
-    "baseline_errors",
+    "TABLE_UNITS",
+    "as_json",
+    "baseline_predictions",
     "constraint_drift",
+    "difference",
     "energy_drift",
     "epsilon",
     "evaluate",
     "evaluate_sweeps",
     "fit_probe",
     "frame_errors",
+    "headline_vpt",
     "invert_landmarks",
     "load_evaluation",
+    "make_protocol",
     "mean_image",
+    "observed_states",
     "predict",
     "predict_batch",
     "predict_file",
     "protocol_named",
     "protocols_for",
+    "published_vpt",
     "references",
     "relative_errors",
     "save_evaluation",
-    "standard_protocols",
+    "setting_text",
     "statistics",
     "summary",
+    "threshold_text",
     "valid_prediction_time",
 ]

@@ -1,4 +1,4 @@
-"""Does the model keep what physics keeps: energy without input, and the constraints."""
+"""How well a model keeps what physics keeps: energy without input, and the constraints."""
 
 from typing import Any
 
@@ -9,7 +9,7 @@ from jaxtyping import Float
 def energy_drift(
     kinetic: Float[np.ndarray, "N T"], potential: Float[np.ndarray, "N T"]
 ) -> tuple[dict[str, Any], Float[np.ndarray, "N T"]]:
-    """Relative change of T + V along roll-outs without input.
+    """Compute the relative change of T + V along roll-outs without input.
 
     |E(t) − E(0)| / E*, where E* is the mean over roll-outs of the largest kinetic energy each reaches: the
     energy that moves. V is known only up to a constant, so E itself cannot be the scale. Good values: below
@@ -28,6 +28,6 @@ def energy_drift(
 
 
 def constraint_drift(deviation: Float[np.ndarray, "N T"]) -> dict[str, float]:
-    """Largest |Φ(x) − constants| of each roll-out in the constraint's unit: its mean and the worst of all."""
+    """Return mean and worst of the largest |Φ(x) − constants| of each roll-out, in the constraint's unit."""
     largest = deviation.max(axis=1)
     return {"mean": float(np.mean(largest)), "worst": float(np.max(largest))}

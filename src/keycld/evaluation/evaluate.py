@@ -1,25 +1,29 @@
-"""Score a model on a data set under a protocol, with the trivial baselines beside it."""
+"""Score a model on a data set under a protocol, next to the trivial baselines."""
 
 import dataclasses
+from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from keycld._errors import KeycldError
 from keycld.drawing import as_uint8
-from keycld.evaluation.baselines import References, baseline_errors, references
+from keycld.evaluation.baselines import baseline_predictions
 from keycld.evaluation.drift import constraint_drift, energy_drift
-from keycld.evaluation.metrics import frame_errors, statistics, valid_prediction_time
-from keycld.evaluation.predicting import Progress, free_motion, law_of, observe, predict
-from keycld.evaluation.probe import fit_probe, probe_scores
+from keycld.evaluation.image_scores import ERROR_ARRAYS, all_errors, image_scores
+from keycld.evaluation.observing import probed_system, score_states
+from keycld.evaluation.predicting import Progress, batch_size, free_motion, observe, predict, refuse_too_few
 from keycld.evaluation.protocols import Protocol
-from keycld.models.base import AbstractModel
+from keycld.evaluation.reading import windows
+from keycld.evaluation.reference_images import References, references
+from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
 
 if TYPE_CHECKING:
-    from keycld.data import DataSet, Trajectories
+    from keycld.data import DataSet
 
-_PROBE_FRAMES = 1000
 _SHOWN_FRAMES = 250
 
 
@@ -33,6 +37,32 @@ class Evaluation:
     scores: dict[str, Any]
     arrays: dict[str, np.ndarray]
 
+    @property
+    def errors(self) -> Float[np.ndarray, "N T"]:
+        """Frame errors in the protocol's metric."""
+        return self.arrays[ERROR_ARRAYS[self.scores["metric"]]]
+
+    def baseline_errors(self, name: str) -> Float[np.ndarray, "N T"]:
+        """Return the same of a trivial predictor."""
+        return self.arrays[f"baseline_{ERROR_ARRAYS[self.scores['metric']]}_{name.replace(' ', '_')}"]
+
+    @property
+    def vpt(self) -> dict[str, Any]:
+        """The valid prediction time at the first threshold."""
+        return headline_vpt(self.scores)
+
+    @property
+    def valid(self) -> Bool[np.ndarray, "N T"]:
+        """Whether the prediction has stayed below the first threshold; true of the frames before the scored part."""
+        first, stop = self.scores["part"]
+        frames, time = np.array(self.vpt["frames"])[:, None], np.arange(self.errors.shape[1])[None]
+        return time >= stop - frames if self.scores["direction"] == "backward" else time < first + frames
+
+
+def headline_vpt(scores: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the valid prediction time at the first threshold, of scores or of those of a trivial predictor."""
+    return next(iter(scores["vpt"].values()))
+
 
 def evaluate(
     model: AbstractModel,
@@ -42,159 +72,180 @@ def evaluate(
     shared: References | None = None,
     progress: Progress | None = None,
 ) -> Evaluation:
-    """Predict every trajectory of the protocol's split from its first frames and inputs, and score the
-    frames.
+    """Predict trajectories of the protocol's split from the given frames and the inputs, and score the frames.
 
-    True states reach the probe and the constant-acceleration baseline, never the model.
+    True states reach the probe and the constant-acceleration baseline, never the model. Pictures pass in blocks, so
+    memory does not grow with the number of trajectories.
 
     Args:
-        model: any model; figures that it has no means for (keypoints, energies) are left out.
+        model: any model; results that it has no means for (keypoints, energies) are left out.
         data: where the split, the validation set (ε, probe) and the training set (baselines) are.
         protocol: what is given and scored.
         shared: `references(data)`, to read them once for several protocols.
         progress: called with the number of frames predicted and their total.
 
     Returns:
-        `scores`: `vpt` and `baselines` (each with one summary a threshold factor), `mse`, `epsilon`,
-            `state` (probe), `drift`, `masses`, `frames_passed` through the networks, …
-        `arrays`: `mse [N, T]`, `baseline_mse_*`, and what the first trajectories looked like.
+        `scores`: `vpt` and `baselines` (each with one summary a threshold), `mse`, `epsilon`, `state` (probe), `drift`,
+            `masses`, `frames_passed` through the networks, …
+        `arrays`: `mse [N, T]`, `baseline_mse_*`, and how the first trajectories looked.
 
     Raises:
-        KeycldError: the split has no pictures or too few frames, or the model needs more given frames.
+        KeycldError: the split has no pictures or too few frames; the model needs more given frames, or cannot run
+            backward.
     """
-    trajectories = data.split(protocol.split)
-    if trajectories.image is None or trajectories.image.shape[1] < protocol.horizon:
-        found = "no /image" if trajectories.image is None else f"{trajectories.image.shape[1]} frames"
-        raise KeycldError(
-            f"protocol '{protocol.name}' scores {protocol.horizon} frames of {protocol.split}.h5, "
-            f"which has {found}: choose another protocol or make the file with more."
-        )
+    refuse_too_few(model, protocol.given)
+    if protocol.backward and not isinstance(model, Reversible):
+        raise KeycldError(f"protocol '{protocol.name}' predicts the past, but this model cannot run backward.")
     shared = shared or references(data)
-    truth = trajectories.image[:, : protocol.horizon]
-    count, horizon = truth.shape[:2]
-    dt = float(trajectories.attributes["dt"])
-    stride = -(-horizon // _SHOWN_FRAMES)
-
-    arrays: dict[str, Any] = {}
-    errors, shown, series = [], [], []
-    for part, found in predict(model, truth[:, : protocol.given], dt, trajectories.input, horizon, progress):
-        errors.append(frame_errors(truth[part], found.frames))
-        shown.append(as_uint8(found.frames[: max(0, protocol.shown - part.start), ::stride]))
-        series.append(found.mechanics if found.keypoints is None else {**found.mechanics, "keypoints": found.keypoints})
-    arrays["mse"] = np.concatenate(errors)
-    arrays["prediction"] = np.concatenate(shown)
-    predicted = {name: np.concatenate([found[name] for found in series]) for name in series[0]}
-    free = {
-        name: np.asarray(value)
-        for name, value in free_motion(model, truth[:, : protocol.given], dt, trajectories.input, horizon - 1).items()
-    }
-    passed = count * (protocol.given + horizon)
-
+    system = probed_system(data, shared) if isinstance(model, HasKeypoints) else None
+    done = _pass(model, data, protocol, shared, progress, with_states=system is not None)
+    count = len(done.errors["mse"])
     few = slice(0, min(protocol.shown, count))
-    arrays |= {
-        "truth": truth[few, ::stride],
-        "time": dt * np.arange(horizon),
-        "shown_index": np.arange(0, horizon, stride),
-        "u": trajectories.input[few],
+    arrays = {
+        **done.errors,
+        **done.shown,
+        "time": done.dt * np.arange(protocol.horizon),
+        "shown_index": np.arange(0, protocol.horizon, _stride(protocol)),
+        **{name: value[few] for name, value in done.along.items()},
+        **{f"free_{name}": value[few] for name, value in done.free.items()},
     }
-    arrays |= {name: value[few] for name, value in predicted.items()}
-    arrays |= {f"free_{name}": value[few] for name, value in free.items()}
-    for name, value in baseline_errors(trajectories, horizon, protocol.given, shared).items():
-        arrays[f"baseline_mse_{name.replace(' ', '_')}"] = value
-
+    for name, errors in done.baselines.items():
+        arrays |= {f"baseline_{kind}_{name.replace(' ', '_')}": value for kind, value in errors.items()}
     scores: dict[str, Any] = {
         "protocol": dataclasses.asdict(protocol),
         "system": data.system,
         "n": count,
-        "dt": dt,
+        "dt": done.dt,
+        "metric": protocol.metric,
+        "direction": protocol.direction,
+        "part": list(protocol.part),
         "epsilon": shared.epsilon,
-        **_image_scores(arrays["mse"], shared.epsilon, protocol, per_trajectory=True),
-        "baselines": {
-            name.removeprefix("baseline_mse_").replace("_", " "): _image_scores(value, shared.epsilon, protocol)
-            for name, value in arrays.items()
-            if name.startswith("baseline_mse_")
-        },
+        "threshold": protocol.limit(protocol.thresholds[0], shared.epsilon),
+        "references": shared.sources,
+        **image_scores(done.errors, shared.epsilon, protocol, per_trajectory=True),
+        "baselines": {name: image_scores(errors, shared.epsilon, protocol) for name, errors in done.baselines.items()},
     }
-    if "kinetic" in free:
-        drift, arrays["energy_drift"] = energy_drift(free["kinetic"], free["potential"])
-        scores["drift"] = {"energy": drift}
-        if "deviation" in predicted:
-            scores["drift"]["constraint"] = constraint_drift(predicted["deviation"])
-        scores["masses"] = np.asarray(law_of(model).masses).tolist()  # pyright: ignore
-    if "keypoints" in predicted:
-        scores["keypoints"] = _names(data, predicted["keypoints"].shape[2])
-        watched = observe(model, arrays["truth"].reshape(-1, *truth.shape[2:]), heat_maps=True)
-        assert watched is not None
-        arrays["observed_keypoints"] = watched[0].reshape(*arrays["truth"].shape[:2], -1, 2)
-        if watched[1] is not None:
-            arrays["heat_maps"] = watched[1].reshape(*arrays["truth"].shape[:2], *watched[1].shape[1:])
-        passed += len(watched[0])
-        state = _probe(model, data, trajectories, predicted["keypoints"], shared)
-        if state is not None:
-            scores["state"], found, frames = state
-            arrays |= found
+    _add_drift(scores, arrays, done)
+    if isinstance(model, HasLagrangian):
+        scores["masses"] = np.asarray(model.law.masses).tolist()
+    passed = count * (protocol.given + protocol.horizon)
+    if isinstance(model, HasKeypoints):
+        keypoints = done.along["keypoints"]
+        scores["keypoints"] = _names(data, keypoints.shape[2])
+        passed += _add_observations(arrays, model)
+        if system is not None:
+            assert done.states is not None
+            scored = protocol.split, protocol.trajectories
+            state, curves, frames = score_states(model, data, system, shared, scored, (keypoints, done.states))
+            scores["state"] = state
+            arrays |= curves
             passed += frames
     scores["frames_passed"] = passed
     return Evaluation(scores, arrays)
 
 
-def _names(data: "DataSet", count: int) -> list[str]:
-    """Names of the model's keypoints; numbers where the data set names others or none."""
-    try:
-        names = list(data.keypoints)
-    except KeycldError:
-        names = []
-    return names if len(names) == count else [f"keypoint {k + 1}" for k in range(count)]
+@dataclass(frozen=True)
+class _Pass:
+    """What one pass over all trajectories leaves, joined along them.
+
+    Attributes:
+        dt: seconds between frames.
+        errors: frame errors `[N, T]` by the name of their array.
+        baselines: the same by the name of the trivial predictor.
+        along: keypoints and mechanical quantities along the predictions.
+        free: mechanical quantities without input.
+        states: true states of the window `[N, T, d]`, where the probe wants them.
+        shown: pictures and inputs of the first trajectories.
+    """
+
+    dt: float
+    errors: dict[str, np.ndarray]
+    baselines: dict[str, dict[str, np.ndarray]]
+    along: dict[str, np.ndarray]
+    free: dict[str, np.ndarray]
+    states: np.ndarray | None
+    shown: dict[str, np.ndarray]
 
 
-def _image_scores(
-    errors: np.ndarray, epsilon: float, protocol: Protocol, per_trajectory: bool = False
-) -> dict[str, Any]:
-    """MSE and, for each threshold factor, VPT divided by T."""
-    vpt = {}
-    for factor in protocol.factors:
-        frames = valid_prediction_time(errors, factor * epsilon)
-        vpt[f"{factor:g}"] = statistics(frames / errors.shape[1])
-        if per_trajectory:
-            vpt[f"{factor:g}"]["frames"] = frames.tolist()
-    return {"mse": float(np.mean(errors)), "vpt": vpt}
-
-
-def _probe(
+def _pass(
     model: AbstractModel,
     data: "DataSet",
-    trajectories: "Trajectories",
-    predicted: np.ndarray,
+    protocol: Protocol,
     shared: References,
-) -> tuple[dict[str, Any], dict[str, np.ndarray], int] | None:
-    """Probe scores, curves and the number of frames encoded; None without states or a known system."""
-    from keycld import systems
+    progress: Progress | None,
+    *,
+    with_states: bool,
+) -> _Pass:
+    """Predict all trajectories, a block at a time, and keep what is small."""
+    horizon, first, dt = protocol.horizon, protocol.first_given, 0.0
+    count = data.count(protocol.split)
+    count = min(count, protocol.trajectories or count)
+    batch, stride = min(count, batch_size(horizon)), _stride(protocol)
+    errors, along, free, states, shown = [], [], [], [], []
+    baselines: dict[str, list[dict[str, np.ndarray]]] = defaultdict(list)
+    for rows, window in windows(data, protocol, batch):
+        truth, u, dt = window.image, window.input, window.dt
+        assert truth is not None
+        given = truth[:, first : first + protocol.given]
+        for part, predicted in predict(model, given, dt, u, horizon, first=first, batch=batch):
+            errors.append(all_errors(protocol, truth[part], predicted.frames))
+            keypoints = {} if predicted.keypoints is None else {"keypoints": predicted.keypoints}
+            along.append({**predicted.mechanics, **keypoints})
+            few = slice(part.start, min(part.stop, max(part.start, protocol.shown - rows.start)))
+            pictures = as_uint8(predicted.frames[: few.stop - few.start, ::stride])
+            shown.append({"prediction": pictures, "truth": truth[few, ::stride].copy(), "u": u[few]})
+            if progress is not None:
+                progress((rows.start + part.stop) * horizon, count * horizon)
+        if with_states:
+            states.append(window.state)
+        # What a motion without input keeps does not depend on the direction in which a protocol predicts.
+        free.append({} if protocol.backward else free_motion(model, given, dt, u, horizon - 1, batch=batch))
+        for name, prediction in baseline_predictions(window, protocol, shared):
+            baselines[name].append(all_errors(protocol, truth, prediction))
+    return _Pass(
+        dt=dt,
+        errors=_joined(errors),
+        baselines={name: _joined(parts) for name, parts in baselines.items()},
+        along=_joined(along),
+        free=_joined(free),
+        states=np.concatenate(states) if with_states else None,
+        shown=_joined(shown),
+    )
 
-    validation = data.validation()
-    if data.system not in systems.names() or not systems.get(data.system).keypoints:
-        return None
-    if shared.states is None or shared.angles is None:
-        return None
-    if trajectories.state is None or validation.state is None:
-        return None
-    fit, seen = (_watch(model, split) for split in (validation, trajectories))
-    guesses = shared.states[:: max(1, len(shared.states) // 2000)]
-    probe = fit_probe(systems.get(data.system), *fit, guesses, shared.angles)
-    truth = trajectories.state[:, : predicted.shape[1]]
-    scores, arrays = probe_scores(probe, fit, seen, (predicted, truth))
-    return scores, arrays, len(fit[0]) + len(seen[0])
+
+def _joined(parts: list[dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def _watch(model: AbstractModel, trajectories: "Trajectories") -> tuple[np.ndarray, np.ndarray]:
-    """Keypoints seen in about a thousand frames, spread over all trajectories, and their true states."""
-    assert trajectories.image is not None and trajectories.state is not None
-    total = trajectories.image.shape[0] * trajectories.image.shape[1]
-    # A stride without a common factor with the length of a trajectory visits all times of it.
-    stride = max(1, total // _PROBE_FRAMES)
-    while np.gcd(stride, trajectories.image.shape[1]) > 1:
-        stride += 1
-    picked = np.arange(0, total, stride)
-    n, t = np.divmod(picked, trajectories.image.shape[1])
-    seen = observe(model, trajectories.image[n, t])
-    assert seen is not None
-    return seen[0], trajectories.state[n, t]
+def _stride(protocol: Protocol) -> int:
+    """Return the step between the frames that are shown."""
+    return -(-protocol.horizon // _SHOWN_FRAMES)
+
+
+def _add_drift(scores: dict[str, Any], arrays: dict[str, np.ndarray], done: _Pass) -> None:
+    """Add the drift of what the model knows: energies without input, constraints along the predictions."""
+    drift = {}
+    if "kinetic" in done.free:
+        drift["energy"], arrays["energy_drift"] = energy_drift(done.free["kinetic"], done.free["potential"])
+    if "deviation" in done.along:
+        drift["constraint"] = constraint_drift(done.along["deviation"])
+    if drift:
+        scores["drift"] = drift
+
+
+def _add_observations(arrays: dict[str, np.ndarray], model: HasKeypoints) -> int:
+    """Add what the encoder observes in the shown true frames, and return how many these are."""
+    truth = arrays["truth"]
+    if len(truth) == 0:
+        return 0
+    keypoints, heat_maps = observe(model, truth.reshape(-1, *truth.shape[2:]), heat_maps=True)
+    arrays["observed_keypoints"] = keypoints.reshape(*truth.shape[:2], -1, 2)
+    if heat_maps is not None:
+        arrays["heat_maps"] = heat_maps.reshape(*truth.shape[:2], *heat_maps.shape[1:])
+    return len(keypoints)
+
+
+def _names(data: "DataSet", count: int) -> list[str]:
+    """Return the names of the model's keypoints; numbers where the data set names others or none."""
+    names = list(data.keypoints)
+    return names if len(names) == count else [f"keypoint {k + 1}" for k in range(count)]

@@ -9,18 +9,18 @@ from scipy.spatial import KDTree
 
 
 def angular(attributes: Mapping[str, Any]) -> Bool[np.ndarray, "m"]:
-    """Which positions are angles: those of the first half of a state's components whose unit is rad."""
+    """Return which positions are angles: those of the first half of a state's components whose unit is rad."""
     units = tuple(attributes["units"])
     return np.array([unit == "rad" for unit in units[: len(units) // 2]])
 
 
 def positions(state: Float[np.ndarray, "*any d"]) -> Float[np.ndarray, "*any m"]:
-    """The positions q of states (q, q̇): the first half."""
+    """Return the positions q of states (q, q̇): the first half."""
     return state[..., : state.shape[-1] // 2]
 
 
 def embed(q: Float[np.ndarray, "*any m"], angles: Bool[np.ndarray, "m"]) -> Float[np.ndarray, "*any f"]:
-    """Positions with every angle as its sine and cosine, so that near configurations are near numbers."""
+    """Return positions with every angle as its sine and cosine, so that near configurations are near numbers."""
     turning = q[..., angles]
     return np.concatenate([q[..., ~angles], np.sin(turning), np.cos(turning)], axis=-1)
 
@@ -28,11 +28,11 @@ def embed(q: Float[np.ndarray, "*any m"], angles: Bool[np.ndarray, "m"]) -> Floa
 def difference(
     q: Float[np.ndarray, "*any m"], other: Float[np.ndarray, "*any m"], angles: Bool[np.ndarray, "m"]
 ) -> Float[np.ndarray, "*any m"]:
-    """The difference q − other, angles brought into ±π."""
+    """Return the difference q − other, angles brought into ±π."""
     gap = q - other
     return np.where(angles, (gap + np.pi) % (2.0 * np.pi) - np.pi, gap)
 
 
 def nearest(queries: Float[np.ndarray, "n f"], points: Float[np.ndarray, "m f"]) -> Int[np.ndarray, "n"]:
-    """Index of the point nearest to each query."""
+    """Return the index of the point nearest to each query."""
     return np.asarray(KDTree(points).query(queries)[1])

@@ -10,14 +10,14 @@ import numpy as np
 from jaxtyping import Array, Float, Shaped, UInt8
 
 from keycld._errors import KeycldError
-from keycld.mechanics import Motion, State
-from keycld.models.base import AbstractModel
+from keycld.mechanics import State
+from keycld.models.base import AbstractModel, HasConstraints, HasEnergies, HasKeypoints
 
 Progress = Callable[[int, int], None]
 
 
 def batch_size(length: int) -> int:
-    """How many trajectories of `length` frames to predict at once.
+    """Return how many trajectories of `length` frames to predict at once.
 
     A CPU is fastest while a layer's values for all frames fit its caches; an accelerator wants work.
     """
@@ -26,34 +26,27 @@ def batch_size(length: int) -> int:
 
 
 def batches(count: int, size: int) -> Iterator[tuple[np.ndarray, int]]:
-    """Index arrays of one length that cover 0 … count − 1, the last filled up, each with its true length."""
-    size = min(size, count)
-    for start in range(0, count, size):
-        index = np.arange(start, start + size)
-        yield np.minimum(index, count - 1), min(size, count - start)
-
-
-def law_of(model: AbstractModel) -> Any | None:
-    """The law with energies that moves the model's keypoints; None for models without one."""
-    law = getattr(getattr(model, "dynamics", None), "law", None)
-    return law if hasattr(law, "potential_energy") and hasattr(law, "kinetic_energy") else None
+    """Yield index arrays of length `size` that cover 0 … count − 1, the last filled up, each with its true length."""
+    for first in range(0, count, size):
+        index = np.arange(first, first + size)
+        yield np.minimum(index, count - 1), min(size, count - first)
 
 
 def mechanical_quantities(model: AbstractModel, states: State) -> dict[str, Float[Array, "T"]]:
-    """Energies and the constraint deviation max |Φ(x) − constants| along stacked states; {} without a law."""
-    law = law_of(model)
-    if law is None or not isinstance(states.coordinates, Motion):
-        return {}
+    """Compute what mechanics a model knows along stacked states.
 
-    def at(state: State) -> dict[str, Array]:
-        x, v = state.coordinates
-        found = {"kinetic": law.kinetic_energy(x, v), "potential": law.potential_energy(x)}
-        constants = state.parameters.get("constants")
-        if constants is not None and constants.shape[0] > 0:
-            found["deviation"] = jnp.max(jnp.abs(law.constraint(x, state.parameters) - constants))
-        return found
-
-    return jax.vmap(at)(states)
+    Returns:
+        `kinetic` and `potential` of a model with energies, `deviation` max |Φ(x) − constants| of one with constraints.
+    """
+    found = {}
+    if isinstance(model, HasEnergies):
+        found["kinetic"] = jax.vmap(model.kinetic_energy)(states)
+        found["potential"] = jax.vmap(model.potential_energy)(states)
+    if isinstance(model, HasConstraints):
+        deviation = jax.vmap(model.constraint_deviation)(states)
+        if deviation.shape[1] > 0:
+            found["deviation"] = jnp.max(jnp.abs(deviation), axis=1)
+    return found
 
 
 class Predicted(NamedTuple):
@@ -62,7 +55,7 @@ class Predicted(NamedTuple):
     Attributes:
         frames: `[N, T, H, W, 3]`.
         keypoints: `[N, T, K, 2]` in image-plane units, or None for models without keypoints.
-        mechanics: `kinetic`, `potential` and constraint `deviation`, each `[N, T]`; {} without a law.
+        mechanics: `kinetic`, `potential` and constraint `deviation`, each `[N, T]`, as far as the model knows them.
     """
 
     frames: Any
@@ -77,6 +70,7 @@ def predict_batch(
     dt: Any,
     u: Shaped[Array | np.ndarray, "N *T l"],
     length: int,
+    first: int = 0,
 ) -> Predicted:
     """Predict N trajectories at once, compiled: `model.predict` under `vmap`.
 
@@ -84,13 +78,14 @@ def predict_batch(
         model: any model.
         frames: the given ones, float in [0, 1].
         dt: seconds between frames.
-        u: inputs, constant or one a frame.
+        u: inputs, constant or one a frame, from frame 0 on.
         length: frames to predict, the given ones included.
+        first: number of the first given frame; above 0 for a `Reversible` model only.
     """
 
     def one(frames: Array, u: Array) -> Predicted:
-        found = model.predict(frames, jnp.asarray(dt, jnp.float32), u, length)
-        keypoints = jax.vmap(model.keypoints)(found.states)
+        found = model.predict(frames, jnp.asarray(dt, jnp.float32), u, length, first)
+        keypoints = jax.vmap(model.keypoints)(found.states) if isinstance(model, HasKeypoints) else None
         return Predicted(found.frames, keypoints, mechanical_quantities(model, found.states))
 
     return jax.vmap(one)(jnp.asarray(frames, jnp.float32), jnp.asarray(u, jnp.float32))
@@ -103,73 +98,98 @@ def predict(
     u: Shaped[np.ndarray, "N *T l"],
     length: int,
     progress: Progress | None = None,
+    *,
+    first: int = 0,
+    batch: int | None = None,
 ) -> Iterator[tuple[slice, Predicted]]:
     """Predict `length` frames of each trajectory from its given `frames` and inputs, a few at a time.
+
+    Args:
+        model: any model.
+        frames: the given ones.
+        dt: seconds between frames.
+        u: inputs, constant or one a frame, from frame 0 on.
+        length: frames to predict, the given ones included.
+        progress: called with the number of frames predicted and their total.
+        first: number of the first given frame; above 0 for a `Reversible` model only.
+        batch: trajectories at a time, the last ones filled up; what suits the machine by default.
 
     Yields:
         which trajectories, and their predictions as NumPy arrays.
 
     Raises:
-        KeycldError: the model needs more frames than are given.
+        KeycldError: the model needs more frames than are given, or cannot run backward.
     """
-    if frames.shape[1] < model.context:
-        raise KeycldError(
-            f"this model needs {model.context} given frames, but there are {frames.shape[1]}: "
-            "use a protocol that gives more, or longer recordings."
-        )
+    refuse_too_few(model, frames.shape[1])
     inputs = u[:, :length] if u.ndim == 3 else u
     done = 0
-    for index, count in batches(len(frames), batch_size(length)):
+    for index, count in batches(len(frames), batch or min(len(frames), batch_size(length))):
         given = frames[index].astype(np.float32) / np.float32(255.0)
-        found = predict_batch(model, given, dt, inputs[index], length)
+        found = predict_batch(model, given, dt, inputs[index], length, first)
         yield slice(done, done + count), jax.tree.map(lambda value, n=count: np.asarray(value)[:n], found)
         done += count
         if progress is not None:
             progress(done * length, len(frames) * length)
 
 
+def refuse_too_few(model: AbstractModel, given: int) -> None:
+    """Raise KeycldError where a model needs more given frames."""
+    if given < model.context:
+        raise KeycldError(
+            f"this model needs {model.context} given frames, but there are {given}: use a protocol that gives more, or "
+            "longer recordings."
+        )
+
+
 @eqx.filter_jit
+def _free_motion(model: AbstractModel, frames: Array, dt: Array, u: Array, steps: int) -> dict[str, Array]:
+    def one(frames: Array, u: Array) -> dict[str, Array]:
+        initial = model.infer(frames.astype(jnp.float32) / 255.0, dt, u)
+        off = jnp.zeros(u.shape[-1:], jnp.float32)
+        return mechanical_quantities(model, model.rollout(initial, dt, off, steps))
+
+    return jax.vmap(one)(frames, u)
+
+
 def free_motion(
     model: AbstractModel,
-    frames: Shaped[Array | np.ndarray, "N n H W 3"],
-    dt: Any,
-    u: Shaped[Array | np.ndarray, "N *T l"],
+    frames: UInt8[np.ndarray, "N n H W 3"],
+    dt: float,
+    u: Shaped[np.ndarray, "N *T l"],
     steps: int,
-) -> dict[str, Float[Array, "N T"]]:
-    """Energies and constraint deviation of roll-outs from the given frames with the input switched off.
+    *,
+    batch: int | None = None,
+) -> dict[str, Float[np.ndarray, "N T"]]:
+    """Compute energies and constraint deviation of roll-outs from the given frames with the input switched off.
 
-    `u` is the input under which the given frames, uint8, were recorded. {} for models without a law.
+    `u` is the input under which the given frames were recorded. The result is {} for models without energies and
+    constraints.
     """
-
-    def one(frames: Array, u: Array) -> dict[str, Array]:
-        interval = jnp.asarray(dt, jnp.float32)
-        start = model.infer(frames.astype(jnp.float32) / 255.0, interval, u)
-        still = jnp.zeros(u.shape[-1:], jnp.float32)
-        return mechanical_quantities(model, model.rollout(start, interval, still, steps))
-
-    return jax.vmap(one)(jnp.asarray(frames), jnp.asarray(u, jnp.float32))
+    if not isinstance(model, HasEnergies | HasConstraints):
+        return {}
+    interval, found = jnp.asarray(dt, jnp.float32), []
+    for index, count in batches(len(frames), batch or len(frames)):
+        part = _free_motion(model, jnp.asarray(frames[index]), interval, jnp.asarray(u[index], jnp.float32), steps)
+        found.append({name: np.asarray(value)[:count] for name, value in part.items()})
+    return {name: np.concatenate([part[name] for part in found]) for name in found[0]}
 
 
 @eqx.filter_jit
-def _observe(model: AbstractModel, frames: Array, heat_maps: bool) -> tuple[Array, Array | None] | None:
+def _observe(model: HasKeypoints, frames: Array, heat_maps: bool) -> tuple[Array, Array | None]:
     found = jax.vmap(model.observe)(frames)
-    return None if found is None else (found.keypoints, found.heat_maps if heat_maps else None)
+    return found.keypoints, found.heat_maps if heat_maps else None
 
 
 def observe(
-    model: AbstractModel, frames: UInt8[np.ndarray, "M H W 3"], *, heat_maps: bool = False
-) -> tuple[Float[np.ndarray, "M K 2"], UInt8[np.ndarray, "M K rows columns"] | None] | None:
-    """The keypoints seen in each frame and, if asked for and there, heat maps with each peak at 255; or None."""
+    model: HasKeypoints, frames: UInt8[np.ndarray, "M H W 3"], *, heat_maps: bool = False
+) -> tuple[Float[np.ndarray, "M K 2"], UInt8[np.ndarray, "M K rows columns"] | None]:
+    """Return the keypoints observed in each frame and, if asked for and there, heat maps with each peak at 255."""
     found = []
-    for index, count in batches(len(frames), 64):
-        seen = _observe(model, jnp.asarray(frames[index], jnp.float32) / 255.0, heat_maps)
-        if seen is None:
-            return None
-        maps = None if seen[1] is None else _bytes(np.asarray(seen[1])[:count])
-        found.append((np.asarray(seen[0])[:count], maps))
-    keypoints = np.concatenate([points for points, _ in found])
+    for index, count in batches(len(frames), min(len(frames), 64)):
+        keypoints, maps = _observe(model, jnp.asarray(frames[index], jnp.float32) / 255.0, heat_maps)
+        found.append((np.asarray(keypoints)[:count], None if maps is None else _bytes(np.asarray(maps)[:count])))
     shown = [maps for _, maps in found if maps is not None]
-    return keypoints, np.concatenate(shown) if shown else None
+    return np.concatenate([points for points, _ in found]), np.concatenate(shown) if shown else None
 
 
 def _bytes(heat_maps: np.ndarray) -> np.ndarray:

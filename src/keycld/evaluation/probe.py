@@ -1,8 +1,7 @@
 """How well a model's keypoints know the true state, through the best affine map to the system's landmarks.
 
-Keypoints are free to lie anywhere on a moving part, so their distance to a landmark means nothing by
-itself. The map is fitted on validation frames with the keypoints that the encoder sees, then used unchanged
-on the scored split.
+Keypoints are free to lie anywhere on a moving part, so their distance to a landmark means nothing by itself. The map is
+fitted on validation frames with the keypoints that the encoder observes, then used unchanged on the scored split.
 """
 
 from dataclasses import dataclass
@@ -34,20 +33,20 @@ class Probe:
     angles: Bool[np.ndarray, "m"]
 
     def landmarks(self, keypoints: Float[np.ndarray, "*any K 2"]) -> Float[np.ndarray, "*any L 2"]:
-        """The landmarks that the keypoints speak of, in image-plane units."""
+        """Return the landmarks that the keypoints stand for, in image-plane units."""
         return (_with_one(keypoints) @ self.matrix).reshape(*keypoints.shape[:-2], -1, 2)
 
     def landmark_errors(
         self, keypoints: Float[np.ndarray, "*any K 2"], state: Float[np.ndarray, "*any d"]
     ) -> Float[np.ndarray, "*any"]:
-        """Distance from probed to true landmarks, root mean square over the landmarks; image-plane units."""
+        """Compute the distance from probed to true landmarks: root mean square over them, in image-plane units."""
         gap = self.landmarks(keypoints) - self.system.landmarks(state)
         return np.sqrt(np.mean(np.sum(gap**2, axis=-1), axis=-1))
 
     def coordinate_errors(
         self, keypoints: Float[np.ndarray, "*any K 2"], state: Float[np.ndarray, "*any d"]
     ) -> Float[np.ndarray, "*any m"]:
-        """|probed − true| of each position: angles in degrees within ±180; others in their own unit."""
+        """Compute |probed − true| of each position: angles in degrees within ±180, others in their own unit."""
         q = invert_landmarks(self.system, self.landmarks(keypoints), self.guesses)
         gap = np.abs(difference(q, positions(state), self.angles))
         return np.where(self.angles, np.degrees(gap), gap)
@@ -65,7 +64,7 @@ def fit_probe(
     guesses: Float[np.ndarray, "G d"],
     angles: Bool[np.ndarray, "m"],
 ) -> Probe:
-    """The least-squares map from `keypoints` and a one to the system's landmarks of `state`."""
+    """Fit the least-squares map from `keypoints` and a one to the system's landmarks of `state`."""
     targets = system.landmarks(state).reshape(len(state), -1)
     matrix, *_ = np.linalg.lstsq(_with_one(keypoints), targets, rcond=None)
     return Probe(system, matrix, guesses, angles)
@@ -77,27 +76,26 @@ def invert_landmarks(
     guesses: Float[np.ndarray, "G d"],
     iterations: int = 8,
 ) -> Float[np.ndarray, "*any m"]:
-    """Positions q whose landmarks are nearest to the given ones, by damped Gauss–Newton from the nearest
-    guess.
+    """Find positions q whose landmarks are nearest to the given ones, by damped Gauss–Newton from the nearest guess.
 
     Landmarks that are not finite give positions that are not.
     """
     flat = landmarks.reshape(-1, landmarks.shape[-2] * 2)
     targets = np.nan_to_num(flat, posinf=0.0, neginf=0.0)
-    start = guesses[nearest(targets, system.landmarks(guesses).reshape(len(guesses), -1))]
+    guess = guesses[nearest(targets, system.landmarks(guesses).reshape(len(guesses), -1))]
     m = guesses.shape[-1] // 2
-    q, still = start[:, :m].copy(), np.zeros_like(start[:, m:])
+    q, rest = guess[:, :m].copy(), np.zeros_like(guess[:, m:])
 
-    def seen(q: np.ndarray) -> np.ndarray:
-        return system.landmarks(np.concatenate([q, still], axis=-1)).reshape(len(q), -1)
+    def landmarks_at(q: np.ndarray) -> np.ndarray:
+        return system.landmarks(np.concatenate([q, rest], axis=-1)).reshape(len(q), -1)
 
     step = 1e-5
     for _ in range(iterations):
-        columns = [(seen(q + step * unit) - seen(q - step * unit)) / (2.0 * step) for unit in np.eye(m)]
+        columns = [(landmarks_at(q + step * unit) - landmarks_at(q - step * unit)) / (2.0 * step) for unit in np.eye(m)]
         jacobian = np.stack(columns, axis=-1)
         normal = np.einsum("nai,naj->nij", jacobian, jacobian) + 1e-9 * np.eye(m)
-        slope = np.einsum("nai,na->ni", jacobian, targets - seen(q))
-        # Half a radian at most, so that a target no configuration reaches does not throw it away.
+        slope = np.einsum("nai,na->ni", jacobian, targets - landmarks_at(q))
+        # Half a radian at most, so that a target out of reach does not make it diverge.
         q += np.clip(np.linalg.solve(normal, slope[..., None])[..., 0], -0.5, 0.5)
     q[~np.all(np.isfinite(flat), axis=1)] = np.nan
     return q.reshape(*landmarks.shape[:-2], m)
@@ -106,15 +104,15 @@ def invert_landmarks(
 def probe_scores(
     probe: Probe,
     fit: tuple[np.ndarray, np.ndarray],
-    seen: tuple[np.ndarray, np.ndarray],
+    observed: tuple[np.ndarray, np.ndarray],
     rolled: tuple[np.ndarray, np.ndarray],
 ) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Scores and curves of a probe.
+    """Compute scores and curves of a probe.
 
     Args:
         probe: fitted.
-        fit: keypoints seen by the encoder and true states on the frames of the fit, `[M, K, 2]` and `[M, d]`.
-        seen: the same on frames of the scored split.
+        fit: keypoints observed by the encoder and true states on the frames of the fit, `[M, K, 2]` and `[M, d]`.
+        observed: the same on frames of the scored split.
         rolled: predicted keypoints `[N, T, K, 2]` and true states `[N, T, d]`.
 
     Returns:
@@ -138,7 +136,7 @@ def probe_scores(
     scores = {
         "landmarks": list(probe.system.keypoints),
         "residual_fit": _root_mean_square(probe.landmark_errors(*fit)),
-        "residual": _root_mean_square(probe.landmark_errors(*seen)),
+        "residual": _root_mean_square(probe.landmark_errors(*observed)),
         "rollout": _root_mean_square(landmark),
         "rollout_last": _root_mean_square(landmark[:, -1]),
         "coordinates": coordinates,

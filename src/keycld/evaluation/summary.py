@@ -1,50 +1,81 @@
-"""A result in a few lines of text, the trivial baselines beside it."""
+"""A result in a few lines of text, next to the trivial baselines."""
 
 from collections.abc import Mapping
 from typing import Any
 
-from keycld.evaluation.published import PAPER_VPT
+from keycld.evaluation.published import published_vpt
+
+
+def threshold_text(metric: str, threshold: str) -> str:
+    """Return a threshold, the key of a VPT, in words: `ε`, `ε/4`, or `0.025` of the normalised error."""
+    if metric == "normalised":
+        return threshold
+    return {"1": "ε", "0.25": "ε/4"}.get(threshold, f"{threshold} ε")
+
+
+def setting_text(scores: Mapping[str, Any]) -> str:
+    """Return what was given and what was scored, in words."""
+    protocol, (first, stop) = scores["protocol"], scores["part"]
+    end = "last " if scores["direction"] == "backward" else ""
+    words = [
+        f"{scores['n']} trajectories of {protocol['horizon']} frames",
+        f"the {end or 'first '}{protocol['given']} given",
+    ]
+    if protocol.get("start", 0):
+        words.insert(1, f"taken up at frame {protocol['start']}")
+    if stop - first < protocol["horizon"]:
+        words.append(f"frames {first} to {stop - 1} scored")
+    if scores["direction"] == "backward":
+        words.append("backward")
+    return ", ".join(words)
 
 
 def summary(scores: Mapping[str, Any]) -> str:
-    """The scores of one protocol as a small table: VPT and MSE of the model and of every baseline.
+    """Return the scores of one protocol as a small table: VPT and error of the model and of every baseline.
 
     A score means little alone: a system that hardly moves is easy for a frozen frame too.
     """
-    protocol, system = scores["protocol"], scores["system"]
-    factors = list(scores["vpt"])
-    heads = [f"VPT {'' if factor == '1' else factor + ' '}ε" for factor in factors]
+    protocol, thresholds = scores["protocol"], list(scores["vpt"])
+    normalised = scores["metric"] == "normalised"
+    heads = [f"VPT {threshold_text(scores['metric'], threshold)}" for threshold in thresholds]
+    heads += ["train part", "extrapolated"] if normalised else ["MSE"]
+    limit = "normalised error" if normalised else f"ε = {scores['epsilon']:.3g}"
     lines = [
-        f"{protocol['name']}: {scores['n']} trajectories of {protocol['horizon']} frames, "
-        f"{protocol['given']} given, ε = {scores['epsilon']:.3g}",
-        f"  {'':24}" + "".join(f"{head:>12}" for head in heads) + f"{'MSE':>12}",
-        _row("this model", scores, factors),
+        f"{protocol['name']}: {setting_text(scores)}, {limit}",
+        f"  {'':24}" + "".join(f"{head:>14}" for head in heads),
+        _row("this model", scores, thresholds),
     ]
-    lines += [_row(name, values, factors) for name, values in scores["baselines"].items()]
-    paper = PAPER_VPT.get(system)
-    if paper and protocol["horizon"] == 50 and protocol["given"] == 2:
-        lines.append(f"  {'paper: KeyCLD':24}{paper['KeyCLD']:12.2f}")
-    mean = scores["vpt"][factors[0]]
+    lines += [_row(name, values, thresholds) for name, values in scores["baselines"].items()]
+    paper = published_vpt(scores)
+    if paper:
+        lines.append(f"  {'paper: KeyCLD':24}{paper['KeyCLD']:14.2f}")
+    mean = scores["vpt"][thresholds[0]]
     lines.append(
         f"  median {mean['median']:.2f}, std {mean['std']:.2f}, "
         f"95 % interval of the mean {mean['interval'][0]:.2f} to {mean['interval'][1]:.2f}"
     )
+    if normalised:
+        units = ", ".join(f"{name} {_number(value)}" for name, value in scores["table_units"].items())
+        lines.append(f"  in the units of tables 5 and 6: {units}")
     if "state" in scores:
         last = ", ".join(
             f"{each['name']} {_number(each['last_median'])} {each['unit']}" for each in scores["state"]["coordinates"]
         )
         lines.append(f"  keypoint residual {_number(scores['state']['residual'])}; median error at the end: {last}")
     if "drift" in scores:
-        drift = [f"energy {_number(scores['drift']['energy']['mean'])}"]
-        if "constraint" in scores["drift"]:
-            drift.append(f"constraints {_number(scores['drift']['constraint']['worst'])}")
-        lines.append(f"  drift: {', '.join(drift)}")
+        drift = {"energy": "mean", "constraint": "worst"}
+        known = [
+            f"{name} {_number(scores['drift'][name][kind])}" for name, kind in drift.items() if name in scores["drift"]
+        ]
+        lines.append(f"  drift: {', '.join(known)}")
     return "\n".join(lines)
 
 
-def _row(name: str, scores: Mapping[str, Any], factors: list[str]) -> str:
-    vpt = "".join(f"{scores['vpt'][factor]['mean']:12.3f}" for factor in factors)
-    return f"  {name:24}{vpt}{_number(scores['mse']):>12}"
+def _row(name: str, scores: Mapping[str, Any], thresholds: list[str]) -> str:
+    vpt = "".join(f"{scores['vpt'][threshold]['mean']:14.3f}" for threshold in thresholds)
+    parts = scores.get("normalised_error")
+    errors = [scores["mse"]] if parts is None else [parts.get("train"), parts["extrapolation"]]
+    return f"  {name:24}{vpt}" + "".join(f"{_number(error):>14}" for error in errors)
 
 
 def _number(value: float | None) -> str:

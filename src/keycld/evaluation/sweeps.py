@@ -1,4 +1,4 @@
-"""The learned potential energy along paths and over grids of configurations (the paper's Fig. 8 to 12)."""
+"""The learned potential energy along paths and over grids of configurations (the KeyCLD paper's Fig. 8 to 12)."""
 
 from typing import TYPE_CHECKING
 
@@ -9,8 +9,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld.evaluation.evaluate import Evaluation
-from keycld.evaluation.predicting import law_of, observe
-from keycld.models.base import AbstractModel
+from keycld.evaluation.predicting import observe
+from keycld.models.base import AbstractModel, HasEnergies, HasKeypoints
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
@@ -18,26 +18,26 @@ if TYPE_CHECKING:
 
 @eqx.filter_jit
 def _potential(model: AbstractModel, keypoints: Float[Array, "n K 2"]) -> Float[Array, "n"]:
-    law = law_of(model)
-    assert law is not None
-    return jax.vmap(lambda x: law.potential_energy(x.reshape(-1)))(keypoints)
+    assert isinstance(model, HasKeypoints) and isinstance(model, HasEnergies)
+    at_rest, potential = model.at_rest, model.potential_energy
+    return jax.vmap(lambda x: potential(at_rest(x)))(keypoints)
 
 
 def evaluate_sweeps(model: AbstractModel, data: "DataSet") -> Evaluation:
-    """Keypoints by the encoder and V by the learned law for each path and grid of `sweeps.h5`.
+    """Compute V by the learned law at the keypoints that the encoder observes along each path and grid of `sweeps.h5`.
 
-    V is known up to a constant, and with masses and inputs up to one common factor: its shape means
-    something, its level does not.
+    V is known up to a constant, and with masses and inputs up to one common factor: its shape means something, its
+    level does not.
 
     Returns:
-        An `Evaluation`, empty for models without keypoints or energies and for data without sweeps. Its
-        scores hold the range of V over each path. Its arrays: `names`, `vary` (names of the states that
-        change, joined by commas) and `units` (theirs, likewise), one a path; and for each NAME of length n:
-        `NAME/values [n, …]` of those states, `NAME/shape`, `NAME/potential [n]`, `NAME/keypoints [n, K,
-        2]`, `NAME/image [n, H, W, 3]` and, where the observer has maps, `NAME/heat_maps [n, K, …]`.
+        An `Evaluation`, empty for models without keypoints or energies and for data without sweeps. Its scores hold the
+        range of V over each path. Its arrays: `names`, `vary` (names of the states that change, joined by commas) and
+        `units` (theirs, likewise), one a path; and for each NAME of length n: `NAME/values [n, …]` of those states,
+        `NAME/shape`, `NAME/potential [n]`, `NAME/keypoints [n, K, 2]`, `NAME/image [n, H, W, 3]` and, where the model
+        has maps, `NAME/heat_maps [n, K, …]`.
     """
     sweeps = data.sweeps()
-    if law_of(model) is None or not sweeps:
+    if not sweeps or not isinstance(model, HasKeypoints) or not isinstance(model, HasEnergies):
         return Evaluation({}, {})
     state_names, state_units = (list(data.attributes[name]) for name in ("state_names", "units"))
     columns = [[state_names.index(each) for each in sweep.vary] for sweep in sweeps]
@@ -48,17 +48,15 @@ def evaluate_sweeps(model: AbstractModel, data: "DataSet") -> Evaluation:
         "units": np.array([",".join(state_units[column] for column in picked) for picked in columns]),
     }
     for sweep, picked in zip(sweeps, columns, strict=True):
-        seen = observe(model, sweep.image, heat_maps=True)
-        if seen is None:
-            return Evaluation({}, {})
+        keypoints, heat_maps = observe(model, sweep.image, heat_maps=True)
         arrays |= {
             f"{sweep.name}/values": sweep.state[:, picked],
             f"{sweep.name}/shape": np.array(sweep.shape),
-            f"{sweep.name}/potential": np.asarray(_potential(model, jnp.asarray(seen[0]))),
-            f"{sweep.name}/keypoints": seen[0],
+            f"{sweep.name}/potential": np.asarray(_potential(model, jnp.asarray(keypoints))),
+            f"{sweep.name}/keypoints": keypoints,
             f"{sweep.name}/image": sweep.image,
         }
-        if seen[1] is not None:
-            arrays[f"{sweep.name}/heat_maps"] = seen[1]
+        if heat_maps is not None:
+            arrays[f"{sweep.name}/heat_maps"] = heat_maps
     ranges = {name: float(np.ptp(arrays[f"{name}/potential"])) for name in names}
     return Evaluation({"potential_range": ranges}, arrays)

@@ -17,15 +17,15 @@ from keycld.drawing import (
     sheet,
     strip_figure,
 )
-from keycld.evaluation import Evaluation, valid_prediction_time
+from keycld.evaluation import METRICS, Evaluation, headline_vpt, threshold_text
 
 
 def error_figure(result: Evaluation) -> Figure:
-    """MSE over time with a band of 10th to 90th percentile, baselines and ε (the paper's Fig. 3).
+    """Plot the error over time with a band of 10th to 90th percentile, baselines and threshold (the paper's Fig. 3).
 
-    The mean image is not drawn: its error is ε.
+    The mean image is left out: its squared error is ε.
     """
-    errors = _finite(result.arrays["mse"])
+    errors = _finite(result.errors)
     frames = np.arange(errors.shape[1])
     curves = [
         Curve(
@@ -37,10 +37,11 @@ def error_figure(result: Evaluation) -> Figure:
     for name, colour in colours.items():
         if name not in result.scores["baselines"]:
             continue
-        baseline = result.arrays[f"baseline_mse_{name.replace(' ', '_')}"]
+        baseline = result.baseline_errors(name)
         curves.append(Curve(frames, baseline.mean(axis=0), name, colour, dashed=True))
-    limit = Limit(result.scores["epsilon"], "ε")
-    figure = curves_figure(curves, "frame", "mean squared error", limits=[limit], logarithmic=True)
+    metric = result.scores["metric"]
+    limit = Limit(result.scores["threshold"], threshold_text(metric, next(iter(result.scores["vpt"]))))
+    figure = curves_figure(curves, "frame", METRICS[metric], limits=[limit], logarithmic=True)
     # Given frames of a baseline may be exact; a logarithmic axis should not stretch down to them.
     floor = 0.3 * min(float(curve.y[curve.y > 0].min()) for curve in curves[:1])
     figure.axes[0].set_ylim(bottom=floor)
@@ -49,17 +50,17 @@ def error_figure(result: Evaluation) -> Figure:
 
 def vpt_figure(result: Evaluation) -> Figure:
     """How many trajectories stay valid for how long, with the means of the model and of each baseline."""
-    vpt = result.scores["vpt"]["1"]
-    horizon = result.scores["protocol"]["horizon"]
+    vpt = result.vpt
+    first, stop = result.scores["part"]
     limits = [Limit(vpt["mean"], f"mean {vpt['mean']:.2f}", INK.text)]
     best, score = max(
-        ((name, each["vpt"]["1"]["mean"]) for name, each in result.scores["baselines"].items()),
+        ((name, headline_vpt(each)["mean"]) for name, each in result.scores["baselines"].items()),
         key=lambda item: item[1],
     )
     limits.append(Limit(score, f"{best} {score:.2f}", INK.quiet))
     return histogram_figure(
-        np.array(vpt["frames"]) / horizon,
-        f"valid prediction time, fraction of {horizon} frames",
+        np.array(vpt["frames"]) / (stop - first),
+        f"valid prediction time, fraction of {stop - first} frames",
         "trajectories",
         limits=limits,
     )
@@ -165,5 +166,5 @@ def _finite(errors: np.ndarray) -> np.ndarray:
 
 
 def times_valid(result: Evaluation) -> np.ndarray:
-    """VPT of each trajectory in frames."""
-    return valid_prediction_time(result.arrays["mse"], result.scores["epsilon"])
+    """Return VPT of each trajectory in frames."""
+    return np.array(result.vpt["frames"])

@@ -47,9 +47,7 @@ def _panels(result: Evaluation, n: int, scale: int, *, wide: bool) -> np.ndarray
         panels.append(overlay_keypoints(prediction, keypoints, scale, trail=_TRAIL))
     else:
         panels.append(enlarge(prediction, scale))
-    good = arrays["mse"][n] <= result.scores["epsilon"]
-    good = np.logical_and.accumulate(good)[arrays["shown_index"]]
-    return overlay_timeline(side_by_side(panels), good, height=2 * scale)
+    return overlay_timeline(side_by_side(panels), result.valid[n, arrays["shown_index"]], height=2 * scale)
 
 
 def headline_movie(folder: Path, result: Evaluation) -> str:

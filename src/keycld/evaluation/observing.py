@@ -1,0 +1,79 @@
+"""Keypoints that a model observes next to the true states, and what the probe makes of them."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from jaxtyping import Float
+
+from keycld.evaluation.predicting import observe
+from keycld.evaluation.probe import fit_probe, probe_scores
+from keycld.evaluation.reading import blocks, coprime, evenly, visited
+from keycld.evaluation.reference_images import References
+from keycld.models.base import HasKeypoints
+from keycld.systems import AbstractSystem, get, names
+
+if TYPE_CHECKING:
+    from keycld.data import DataSet
+
+_FRAMES = 1000
+_MOST_TRAJECTORIES = 2000
+
+
+def observed_states(
+    model: HasKeypoints, data: "DataSet", split: str, trajectories: int | None = None
+) -> tuple[Float[np.ndarray, "M K 2"], Float[np.ndarray, "M d"]]:
+    """Return keypoints observed in about a thousand frames and the true states there.
+
+    Args:
+        model: whose keypoints.
+        data: the data set; it must have states.
+        split: which file.
+        trajectories: how many of it, the first; all by default. The frames are spread over them and over all times.
+    """
+    frames = data.split(split, images=False, rows=slice(0, 1)).frames
+    count = data.count(split) if trajectories is None else min(trajectories, data.count(split))
+    rows = evenly(count, _MOST_TRAJECTORIES)
+    rows = slice(0, count, rows.step)
+    step = coprime(max(1, len(range(0, count, rows.step)) * frames // _FRAMES), frames)
+    images, states = [], []
+    for taken, recordings in blocks(data, split, rows):
+        assert recordings.image is not None and recordings.state is not None
+        n, t = visited(taken, frames, step)
+        images.append(recordings.image[n, t])
+        states.append(recordings.state[n, t])
+    return observe(model, np.concatenate(images))[0], np.concatenate(states)
+
+
+def probed_system(data: "DataSet", shared: References) -> AbstractSystem | None:
+    """Return the system whose landmarks a probe is fitted to; None where it is unknown or the data have no states."""
+    if shared.states is None or data.system not in names():
+        return None
+    system = get(data.system)
+    return system if system.keypoints else None
+
+
+def score_states(
+    model: HasKeypoints,
+    data: "DataSet",
+    system: AbstractSystem,
+    shared: References,
+    scored: tuple[str, int | None],
+    rolled: tuple[np.ndarray, np.ndarray],
+) -> tuple[dict[str, Any], dict[str, np.ndarray], int]:
+    """Fit a probe on validation frames and score it on others.
+
+    Args:
+        model: whose keypoints.
+        data: the data set.
+        system: that moves, from `probed_system`.
+        shared: its states are where the search for a configuration begins.
+        scored: split, and how many of its trajectories.
+        rolled: predicted keypoints `[N, T, K, 2]` and true states `[N, T, d]`.
+
+    Returns:
+        scores and curves of `probe_scores`, and the number of frames that passed through the encoder.
+    """
+    assert shared.angles is not None
+    fit, observed = observed_states(model, data, "validation"), observed_states(model, data, *scored)
+    probe = fit_probe(system, *fit, shared.guesses(), shared.angles)
+    return *probe_scores(probe, fit, observed, rolled), len(fit[0]) + len(observed[0])
