@@ -59,5 +59,12 @@ def trained(tmp_path_factory):
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not finished(root / "whole"):
             data = write_data(root / "mine")
-            train(data, root / "whole", config_for("keycld", "fast", **TINY), checkpoint_seconds=0.0, log_every=2, keep=100)
+            train(
+                data,
+                root / "whole",
+                config_for("keycld", "fast", **TINY),
+                checkpoint_seconds=0.0,
+                log_every=2,
+                keep=100,
+            )
     return root

@@ -12,40 +12,93 @@ import keycld
 
 SOURCE = Path(keycld.__file__).parent
 FLOORS = [
-    "drawing", "mechanics", "systems", "data", "vision", "models",
+    "drawing", "mechanics", "systems", "data", "vision", "stages", "models",
     "evaluation", "training", "control", "benchmarks", "reports", "cli",
 ]  # fmt: skip
+# Modules of the package itself: what all rooms may use, and the package's own page, which stands above them.
+GROUND = {"_errors", "_files", "_lock", "_version"}
 
 
-def imported_rooms(path: Path) -> set[str]:
-    rooms = set()
-    for node in ast.walk(ast.parse(path.read_text())):
-        names = []
-        if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module] if node.level == 0 else []
-            names += [f"{node.module}.{alias.name}" for alias in node.names]
+def modules() -> dict[str, Path]:
+    """Every module by its dotted name."""
+    found = {}
+    for path in SOURCE.rglob("*.py"):
+        parts = ["keycld", *path.relative_to(SOURCE).with_suffix("").parts]
+        found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return found
+
+
+def imports(path: Path, known: set[str], *, lazy: bool = True) -> set[str]:
+    """Modules of ours that a file imports; without `lazy` only those that are imported with it."""
+    found = set()
+    tree = ast.parse(path.read_text())
+    inner = {id(n) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for n in ast.walk(f)}
+    inner |= {id(n) for f in ast.walk(tree) if isinstance(f, ast.If) and "TYPE_CHECKING" in ast.dump(f.test)
+              for n in ast.walk(f)}  # fmt: skip
+    for node in ast.walk(tree):
+        if not lazy and id(node) in inner:
+            continue
+        if isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+            found |= {name if name in known else node.module for name in names}
         elif isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        rooms |= {n.split(".")[1] for n in names if n.startswith("keycld.") and n.split(".")[1] in FLOORS}
-    return rooms
+            found |= {alias.name for alias in node.names}
+    return found & known
 
 
-@pytest.mark.parametrize("room", FLOORS)
+def floor(module: str) -> int:
+    """The ground, then the rooms, then the package's own page."""
+    parts = module.split(".")
+    if len(parts) == 1:
+        return len(FLOORS)
+    return -1 if parts[1] in GROUND else FLOORS.index(parts[1])
+
+
+def upward(module: str, path: Path, known: set[str]) -> set[str]:
+    return {name for name in imports(path, known) if floor(name) > floor(module)}
+
+
+@pytest.mark.parametrize("room", [*FLOORS, *GROUND, "keycld"])
 def test_a_room_imports_only_from_rooms_below(room):
-    allowed = set(FLOORS[: FLOORS.index(room) + 1])
-    for path in (SOURCE / room).rglob("*.py"):
-        upward = imported_rooms(path) - allowed
-        assert not upward, f"{path.relative_to(SOURCE)} imports upward from {upward}"
+    found = modules()
+    mine = {name: path for name, path in found.items() if room in (*name.split(".")[1:2], name)}
+    assert mine
+    for name, path in mine.items():
+        assert not upward(name, path, set(found)), f"{name} imports upward: {upward(name, path, set(found))}"
 
 
 def test_reading_imports_notices_an_upward_one(tmp_path):
-    path = tmp_path / "x.py"
-    path.write_text("def f():\n    from keycld.cli import main\n")
-    assert imported_rooms(path) == {"cli"}
+    path, known = tmp_path / "x.py", {"keycld.cli.main", "keycld", "keycld.data"}
+    path.write_text("def f():\n    from keycld.cli import main\n    from keycld import load\n    import keycld.data\n")
+    assert imports(path, known) == known
+    assert imports(path, known, lazy=False) == set()
+    assert upward("keycld.data.x", path, known) == {"keycld.cli.main", "keycld"}
+
+
+def test_no_module_imports_itself_in_a_circle():
+    """Between files, packages' `__init__` files included; a package stands for its members' imports of it."""
+    found = modules()
+    graph = {name: imports(path, set(found), lazy=False) - {name} for name, path in found.items()}
+    # Python runs a package's page before its modules, so what a page imports may not import the page.
+    state: dict[str, int] = {}
+
+    def visit(name: str, path: tuple[str, ...]) -> None:
+        state[name] = 1
+        for other in graph[name]:
+            assert state.get(other) != 1, " → ".join([*path[path.index(other) :], other]) if other in path else other
+            if other not in state:
+                visit(other, (*path, other))
+        state[name] = 2
+
+    for name in graph:
+        if name not in state:
+            visit(name, (name,))
 
 
 def test_every_folder_is_a_room():
-    assert {p.name for p in SOURCE.iterdir() if p.is_dir() and p.name != "__pycache__"} == set(FLOORS)
+    folders = {p.name for p in SOURCE.iterdir() if p.is_dir() and p.name != "__pycache__"}
+    assert folders == {*FLOORS, "weights"}  # trained weights are data, no room
+    assert {p.stem for p in SOURCE.glob("*.py")} == {*GROUND, "__init__"}
 
 
 def test_files_are_small():

@@ -144,7 +144,7 @@ def imagination(model, system, epsilon, seed):
 
 def weights_hash(model):
     """Hash the weights that control uses, so that results of two models are never mixed."""
-    used = eqx.tree_at(lambda m: m.beginning, model, None, is_leaf=lambda x: x is None)
+    used = eqx.tree_at(lambda m: m.velocity_prior, model, None, is_leaf=lambda x: x is None)
     leaves = jax.tree.leaves(eqx.filter(used, eqx.is_array))
     return hashlib.sha256(b"".join(np.asarray(leaf).tobytes() for leaf in leaves)).hexdigest()[:16]
 

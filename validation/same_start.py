@@ -1,11 +1,11 @@
-"""How far anyone could predict: MuJoCo itself, started with the model's own error of the start, beside the model.
+"""How far any prediction could hold: MuJoCo itself with the model's own error of the initial state, next to the model.
 
 python validation/same_start.py RUN [--data FOLDER] [--split test_long]     results/same-start/SYSTEM.json
 
-Where physics is chaotic, a prediction ends when the error of its start has grown, however good its dynamics are. The
-model's start is read as a true state through the probe (positions of its first two predicted frames, their difference
-as velocity); the error is what it differs from the same difference of true states. MuJoCo then moves from the true
-state plus that error, is drawn, and scored as a prediction.
+Where physics is chaotic, a prediction ends when the error of its initial state has grown, however good its dynamics
+are. The probe gives the true state that the model's initial state stands for: positions of its first two predicted
+frames, and their difference as velocity. The error is the difference from the same quantities of true states. MuJoCo
+then moves from the true state plus that error, and its pictures are scored as a prediction.
 """
 
 import argparse
@@ -17,16 +17,15 @@ import numpy as np
 from keycld.control import Plant
 from keycld.data import open_data
 from keycld.evaluation import (
-    epsilon,
+    difference,
     fit_probe,
     frame_errors,
     invert_landmarks,
+    observed_states,
     predict,
     references,
     valid_prediction_time,
 )
-from keycld.evaluation.evaluate import _watch
-from keycld.evaluation.geometry import difference
 from keycld.systems import get
 from keycld.training import environment, load_run, run_folder
 
@@ -36,7 +35,7 @@ LENGTHS = (50, 200, 500)
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("run", help="run folder, or a trained model of the package")
-    parser.add_argument("--data", type=Path, help="data set; the run's own unless told")
+    parser.add_argument("--data", type=Path, help="data set; by default the run's own")
     parser.add_argument("--split", default="test_long")
     parser.add_argument("--out", type=Path, default=Path("results/same-start"))
     options = parser.parse_args()
@@ -44,33 +43,32 @@ def main():
     model, config = load_run(run_folder(options.run))
     data = open_data(options.data or config.data)
     split, system, shared = data.split(options.split), get(config.system), references(data)
-    threshold, length = epsilon(data.validation().image), split.image.shape[1]
+    length = split.frames
 
-    parts = predict(model, split.image[:, : model.context], data.dt, split.input, length)
+    parts = predict(model, split.image[:, : model.context], split.dt, split.input, length)
     predicted, first = [], []
     for _, part in parts:
         predicted.append(part.frames)
         first.append(part.keypoints[:, :2])
     predicted, first = np.concatenate(predicted), np.concatenate(first)
 
-    guesses = shared.states[:: max(1, len(shared.states) // 2000)]
-    probe = fit_probe(system, *_watch(model, data.validation()), guesses, shared.angles)
-    read = invert_landmarks(system, probe.landmarks(first), guesses)
-    size = read.shape[-1]
-    true = split.state[:, :2, :size]
-    place = difference(read[:, 0], true[:, 0], shared.angles)
-    rate = (difference(read[:, 1], true[:, 1], shared.angles) - place) / data.dt
-    start = split.state[:, 0] + np.concatenate([place, rate], axis=-1)
+    guesses = shared.guesses()
+    probe = fit_probe(system, *observed_states(model, data, "validation"), guesses, shared.angles)
+    probed = invert_landmarks(system, probe.landmarks(first), guesses)
+    true = split.state[:, :2, : probed.shape[-1]]
+    place = difference(probed[:, 0], true[:, 0], shared.angles)
+    rate = (difference(probed[:, 1], true[:, 1], shared.angles) - place) / split.dt
+    initial = split.state[:, 0] + np.concatenate([place, rate], axis=-1)
 
-    with Plant(system, start) as plant:
+    with Plant(system, initial) as plant:
         frames = [plant.look(), *(plant.advance(split.input) for _ in range(length - 1))]
     simulated = np.stack(frames, axis=1)
 
     scores = {}
-    for name, drawn in (("model", predicted), ("true physics, same error of the start", simulated)):
-        errors = frame_errors(split.image, drawn)
+    for name, pictures in (("model", predicted), ("true physics, same error of the start", simulated)):
+        errors = frame_errors(split.image, pictures)
         scores[name] = {
-            str(n): round(float(np.mean(valid_prediction_time(errors[:, :n], threshold)) / n), 4)
+            str(n): round(float(np.mean(valid_prediction_time(errors[:, :n], shared.epsilon)) / n), 4)
             for n in LENGTHS
             if n <= length
         }
@@ -83,7 +81,7 @@ def main():
         "command": f"python validation/same_start.py {options.run} --split {options.split}",
         "run": {"model": config.model, "preset": config.preset, "seed": config.seed},
         "split": options.split,
-        "trajectories": len(start),
+        "trajectories": len(initial),
         "vpt": scores,
         "error_of_the_start": error,
         "commit": environment()["commit"],

@@ -1,12 +1,11 @@
 """Learn the physics of a moving thing from video, then predict and control it."""
 
 from keycld._errors import KeycldError as KeycldError
-
-__version__ = "0.1.0"
+from keycld._version import __version__ as __version__
 
 
 def load(run):
-    """A trained model: one that comes with the package (`"pendulum"`, `"cartpole"`, `"acrobot"`), or of a run folder.
+    """Return a trained model, by its name in the package (pendulum, cartpole, acrobot) or from a run folder.
 
     ```python
     model = keycld.load("acrobot")
@@ -14,7 +13,8 @@ def load(run):
     model.predict(frames, dt, u, length=200).frames
     ```
 
-    **Raises:** KeycldError for a name that is neither.
+    Raises:
+        KeycldError: for a name that is neither.
     """
     from keycld.training import load_model
 

@@ -49,7 +49,7 @@ def test_the_suites():
 
 
 def test_an_experiment_survives_being_text():
-    (experiment,) = select(only="acrobot-fc-2", settings={"joint_horizons": [8, 16]})
+    (experiment,) = select(only="acrobot-fc-2", settings={"joint.horizons": [8, 16]})
     assert Experiment.from_json(experiment.to_json()) == experiment
 
 
@@ -59,13 +59,13 @@ def test_the_hash_knows_what_decides():
         *select(only="pendulum-keycld-1", models=["keycld"]),
         *select(only="cartpole-keycld-0", models=["keycld"]),
         *select(only="pendulum-fc-0"),
-        *select(only="pendulum-keycld-0", models=["keycld"], settings={"joint_steps": 7}),
+        *select(only="pendulum-keycld-0", models=["keycld"], settings={"joint.steps": 7}),
         *suite_named("keycld-2024").select(only="pendulum-full"),
     ]
     assert len({experiment.hash() for experiment in (first, *others)}) == 1 + len(others)
     # A setting that is told but is the preset's own changes nothing.
-    same = first.recipe().settings()["joint_steps"]
-    (told,) = select(only="pendulum-keycld-0", models=["keycld"], settings={"joint_steps": same})
+    same = first.config().settings()["joint"]["steps"]
+    (told,) = select(only="pendulum-keycld-0", models=["keycld"], settings={"joint.steps": same})
     assert told.hash() == first.hash()
 
 
@@ -157,7 +157,7 @@ def test_the_journal_version_has_no_published_rows(place):
         ({"systems": ["pendlum"]}, "did you mean 'pendulum'"),
         ({"preset": "fats"}, "did you mean 'fast'"),
         ({"preset": "journal"}, "predicts from 3 frames, but the suite keycld gives 2"),
-        ({"settings": {"joint_step": 3}}, "did you mean 'joint_steps'"),
+        ({"settings": {"joint.step": 3}}, "did you mean 'joint.steps'"),
         ({"only": "acrobot-node3-0"}, "did you mean 'acrobot-node2-0'"),
     ],
 )

@@ -16,7 +16,19 @@ from keycld.cli.main import main
 from keycld.training import run_folder
 from scenes import TINY, write_data
 
-SETTINGS = [f"{name}={','.join(map(str, v)) if isinstance(v, list) else v}" for name, v in TINY.items()]
+
+def flags(settings, prefix="--"):
+    """Settings as the flags of a command line: --vision.steps 6."""
+    words = []
+    for name, value in settings.items():
+        if isinstance(value, dict):
+            words += flags(value, f"{prefix}{name}.")
+        else:
+            words += [f"{prefix}{name}", *map(str, value if isinstance(value, list) else [value])]
+    return words
+
+
+SETTINGS = flags(TINY)
 
 
 def keycld(*arguments, folder):
@@ -38,7 +50,7 @@ def here(monkeypatch, capsys):
 
 def weights(run):
     name = (run / "checkpoints" / "latest").read_text()
-    return (run / "checkpoints" / name / "leaves.eqx").read_bytes()
+    return (run / "checkpoints" / name / "weights.safetensors").read_bytes()
 
 
 @pytest.fixture(scope="module")
@@ -188,11 +200,11 @@ def test_bad_data_gets_one_sentence_and_code_two(here, tmp_path, change, words):
     [
         (["train", "pendulm"], ["did you mean 'pendulum'"]),
         (["train", "mine", "--preset", "fsat"], ["did you mean 'fast'"]),
-        (["train", "mine", "--model", "hgn2"], ["keycld"]),
-        (["train", "mine", "--set", "vision_step=3"], ["did you mean 'vision_steps'"]),
+        (["train", "mine", "--model", "keycd"], ["did you mean 'keycld'"]),
+        (["train", "mine", "--vision.steps", "-3"], ["vision.steps is a finite number of at least 0, not -3"]),
         (["train", "mine", "--track", "wandbb"], ["did you mean 'wandb'"]),
         (["train", "mine", "--constraints", "none.toml"], ["none.toml"]),
-        (["train", "mine", "--out", "file/run", "--set", *SETTINGS], ["cannot write"]),
+        (["train", "mine", "--out", "file/run", *SETTINGS], ["cannot write"]),
         (["train"], ["name what to train on"]),
         (["train", "mine", "--seed", "-1"], ["from 0 to", "not -1"]),
         (["train", "--config", "whole/config.json", "--seed", "3", "--out", "whole"], ["seed was 0, now 3"]),
@@ -223,6 +235,16 @@ def test_a_real_process_prints_the_sentence_and_no_traceback(place):
     assert answer.stderr.startswith("keycld: ") and len(answer.stderr.strip().splitlines()) == 1
 
 
+def test_models_are_listed_for_people_and_programs(place):
+    answer = keycld("models", "--json", folder=place)
+    assert answer.returncode == 0, answer.stderr
+    rows = {row["name"]: row for row in json.loads(answer.stdout)}
+    assert {"fast", "paper", "journal"} <= set(rows["keycld"]["presets"])
+    assert "energies" in rows["keycld"]["capabilities"] and "energies" not in rows["node2"]["capabilities"]
+    assert all(row["parameters"] > 10_000 for row in rows.values())
+    assert "node2" in keycld("models", folder=place).stdout
+
+
 def test_check_finds_good_data_fine(place):
     answer = keycld("data", "check", "mine", folder=place)
     assert answer.returncode == 0 and "mine: fine" in answer.stdout
@@ -248,9 +270,9 @@ def test_foreign_data_trains_with_constraints_given_on_the_command_line(here, pl
     folder = write_data(place / "bare")
     (folder / "constraints.toml").rename(place / "mine.toml")
     code, message = here("train", "bare", "--out", "bare-run", folder=place)
-    assert code == 2 and "constraints" in message
-    vision_alone = ["dynamics_steps=0", "joint_steps=0", "long_steps=0"]
-    settings = ["--constraints", "mine.toml", "--out", "bare-run", "--set", *SETTINGS, *vision_alone]
+    assert code == 2 and "put a constraints.toml next to the data" in message
+    vision_alone = ["--dynamics.steps", "0", "--joint.steps", "0", "--long.steps", "0"]
+    settings = ["--constraints", "mine.toml", "--out", "bare-run", *SETTINGS, *vision_alone]
     code, message = here("train", "bare", *settings, folder=place)
     assert code == 0, message
     code, message = here("predict", "bare-run", "--data", "bare/test.h5", "--out", "bare.h5", folder=place)

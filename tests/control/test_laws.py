@@ -6,14 +6,16 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from pendulum_model import PendulumModel
+from true_physics import truth
 
 import keycld
 from keycld import KeycldError
 from keycld.cli.control import law_titles
-from keycld.control import ControlConfig, control_laws, law_named, registry, swing_up
+from keycld.control import Belief, ControlConfig, Problem, control_laws, law_named, registry, swing_up
 from keycld.systems import get
 
 PAGE = Path(__file__).parents[2] / "docs" / "control.md"
@@ -23,7 +25,9 @@ PAGE = Path(__file__).parents[2] / "docs" / "control.md"
 def push(tmp_path, monkeypatch):
     """The example law of docs/control.md, imported from a file of its own; forgotten afterwards."""
     monkeypatch.setattr(registry, "_LAWS", dict(control_laws()))
-    code = next(block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S) if "register_law" in block)
+    code = next(
+        block for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S) if "register_law" in block
+    )
     path = tmp_path / "push.py"
     path.write_text(code)
     spec = importlib.util.spec_from_file_location("push", path)
@@ -82,6 +86,14 @@ def test_wrong_names_and_settings():
 
 
 def test_random_inputs_need_a_limit():
-    config = ControlConfig(law=law_named("random"))
+    known = truth("pendulum")
+    problem = Problem(known.law, known.upright, (0,), np.inf, 0.02, seed=0)
     with pytest.raises(KeycldError, match="random inputs need an input limit"):
-        swing_up(PendulumModel.make(), get("pendulum"), 0.01, config=config)
+        law_named("random").controller(problem)
+    controller = law_named("random").controller(problem._replace(limit=2.0))
+    belief = Belief(known.motion(np.zeros(2)), 0 * known.upright, jnp.asarray(9))
+    memory, inputs = controller.initial_memory(), []
+    for _ in range(20):
+        u, memory = controller.act(belief, memory)
+        inputs.append(u)
+    assert 1.0 < np.abs(inputs).max() <= 2.0 and len(np.unique(inputs)) == 20

@@ -23,7 +23,6 @@ from keycld.data import (
     with_pictures,
     write,
 )
-from keycld.data.describe.normalised_error import TABLE_UNITS, trivial_scores
 from keycld.data.format import derived, writing
 from keycld.data.format.writing import join
 from keycld.data.generate.sampled import sampled_job, sampled_splits
@@ -257,34 +256,6 @@ def test_the_card_and_its_figures(folder):
     assert figures["parameters"]["m"]["least"] == train.parameters["m"].min()
     assert figures["conserved"]["largest_change"] < 1e-12
     assert figures["splits"]["test"]["epsilon"] > 0 and figures["splits"]["train"]["motion_per_frame"]["q"]
-
-
-def test_errors_in_the_papers_units():
-    random = np.random.RandomState(0)
-    train, test = (random.randint(0, 256, (3, 4, 32, 32, 3)).astype(np.uint8) for _ in range(2))
-    scores = trivial_scores([train], [test[:1], test[1:]])["mean_image"]
-    mean = train.reshape(-1, 32, 32, 3).mean(axis=0) / 255.0
-    x = test.reshape(-1, 3072) / 255.0
-    wanted = np.mean(np.sum((x - mean.reshape(1, -1)) ** 2, axis=1) / np.sum(x**2, axis=1))
-    assert scores["normalised_error"] == pytest.approx(wanted, rel=1e-5)
-    assert scores["table_units"] == pytest.approx(1e7 * wanted / 3072, rel=1e-5) and TABLE_UNITS > 3255
-    assert scores["below_threshold"] == 0.0 and scores["vpt"] == 0.0
-    still = np.broadcast_to(test[:, :1], test.shape)
-    assert trivial_scores([train], [still])["first_frame"]["vpt"] == 1.0
-
-
-@pytest.mark.parametrize(
-    ("name", "published"), [("toy/mass_spring", 170), ("toy/two_body", 316), ("toy/pendulum", 266)]
-)
-def test_a_still_mean_picture_scores_what_it_does_in_the_suite(name, published):
-    """Anchors measured with the suite's generator; the others are in validation/."""
-
-    def some(first):
-        recording = get(name).record(range(first, first + 1024), 256, "priors-released", "default")
-        seen = Recording(recording.time[::16], recording.state[:, ::16], recording.parameters)
-        return get(name).pictures(seen).image
-
-    assert trivial_scores([some(0)], [some(5000)])["mean_image"]["table_units"] == pytest.approx(published, rel=0.03)
 
 
 def test_what_does_not_go_together(tmp_path):

@@ -3,7 +3,7 @@
 import pytest
 
 from keycld import KeycldError
-from keycld.data.sampled import sampled_job, sampled_splits
+from keycld.data.generate.sampled import sampled_job, sampled_splits
 from keycld.systems import AbstractSampledSystem, get, names
 
 

@@ -31,13 +31,13 @@ def test_keypoints_that_are_an_affine_view_of_the_landmarks_have_no_error(name, 
     count = len(system.keypoints)
     mixing, shift = rng.standard_normal((2 * count, 2 * count)), rng.standard_normal(2 * count)
 
-    def seen(state):
+    def observed(state):
         return (system.landmarks(state).reshape(len(state), -1) @ mixing + shift).reshape(len(state), count, 2)
 
-    probe = fit_probe(system, seen(state), state, state, angles)
+    probe = fit_probe(system, observed(state), state, state, angles)
     fresh, _ = states(system, 50, rng)
-    assert probe.landmark_errors(seen(fresh), fresh).max() < 1e-8
-    assert probe.coordinate_errors(seen(fresh), fresh).max() < 1e-4
+    assert probe.landmark_errors(observed(fresh), fresh).max() < 1e-8
+    assert probe.coordinate_errors(observed(fresh), fresh).max() < 1e-4
 
 
 def test_an_error_of_the_angle_is_reported_in_degrees_modulo_a_turn(rng):

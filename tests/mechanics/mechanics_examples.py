@@ -61,14 +61,14 @@ def on_circle(angles, lengths=None):
 
 
 @eqx.filter_jit
-def _start(law, x, v):
+def _initial_state(law, x, v):
     return State(Motion(x, law.project_velocity(x, v)), {"constants": law.constraint(x)})
 
 
-def start(law, x, v=None):
+def initial_state(law, x, v=None):
     """A state on the constraints, with the velocity made tangential."""
     x = jnp.asarray(x, float)
-    return _start(law, x, jnp.zeros_like(x) if v is None else jnp.asarray(v, float))
+    return _initial_state(law, x, jnp.zeros_like(x) if v is None else jnp.asarray(v, float))
 
 
 @eqx.filter_jit

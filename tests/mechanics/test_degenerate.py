@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import double_pendulum, last, law, on_circle, pendulum, rollout, start
+from mechanics_examples import double_pendulum, initial_state, last, law, on_circle, pendulum, rollout
 
 from keycld.mechanics import (
     Constraints,
@@ -66,7 +66,7 @@ def test_finite(name):
     for where, x in POSITIONS.items():
         x = jnp.array(x)
         for v in (jnp.zeros(4), jnp.array([1.0, -2.0, 3.0, 0.5])):
-            for shift in (0.0, 0.1):  # constants that the start satisfies, and that it does not
+            for shift in (0.0, 0.1):  # constants that the initial state satisfies, and others
                 found = everything(dynamics, x, v, system.constraint(x) + shift)
                 for what, value in found.items():
                     leaves = jax.tree.leaves(value)
@@ -78,7 +78,7 @@ def test_finite(name):
 def test_turning_too_fast_for_a_step_is_slowed_down_not_thrown_off(integrator):
     """1000 rad/s at 100 frames a second has no solution on the circle."""
     system = double_pendulum()
-    state = start(system, on_circle([0.3, 1.0]), jnp.array([1000.0, 0.0, -1000.0, 500.0]))
+    state = initial_state(system, on_circle([0.3, 1.0]), jnp.array([1000.0, 0.0, -1000.0, 500.0]))
     motion = rollout(MechanicalDynamics(system, integrator), state, jnp.zeros(0), 0.01, 200)
     constraint = jax.vmap(system.constraint)(motion.x)
     found = np.abs(np.asarray(constraint) - 1)

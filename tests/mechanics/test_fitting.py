@@ -21,10 +21,10 @@ DT, FRAMES = 0.05, 30
 
 @pytest.fixture(scope="module")
 def pendulums():
-    """Twelve swings of a unit pendulum from rest, each seen with an error of 0.01."""
+    """Twelve swings of a unit pendulum from rest, each observed with an error of 0.01."""
     truth = swinging(9.81)
-    starts = jnp.stack([on_circle([angle]) for angle in np.linspace(0.3, 2.9, 12)])
-    states = jax.vmap(lambda x: State(Motion(x, jnp.zeros(2)), {"constants": jnp.ones(1)}))(starts)
+    first = jnp.stack([on_circle([angle]) for angle in np.linspace(0.3, 2.9, 12)])
+    states = jax.vmap(lambda x: State(Motion(x, jnp.zeros(2)), {"constants": jnp.ones(1)}))(first)
     paths = jax.jit(jax.vmap(lambda s: truth.rollout(s, jnp.zeros(0), DT, FRAMES - 1).x))(states)
     return paths, paths + 0.01 * jax.random.normal(jax.random.key(0), paths.shape)
 
@@ -40,20 +40,20 @@ def free_leaves(dynamics, found):
     return jax.tree_util.tree_map_with_path(lambda path, leaf: found(jax.tree_util.keystr(path)), dynamics)
 
 
-def test_gravity_is_found_from_noisy_sightings_of_whole_swings(pendulums):
+def test_gravity_is_found_from_noisy_observations_of_whole_swings(pendulums):
     """From a guess 30 % off; thirty noisy frames of twelve swings hold it to better than one per cent."""
     paths, seen = pendulums
     guess = swinging(7.0)
     free = free_leaves(guess, lambda name: name.endswith("potential.weight"))
     fitted = jax.jit(lambda x: fit_motions(guess, free, x, jnp.zeros((12, 0)), DT, horizons=(8, FRAMES)))(seen)
     assert np.asarray(fitted.dynamics.law.potential.weight)[1] == pytest.approx(9.81, rel=0.01)
-    # The fitted paths are nearer to the truth than what was seen, and miss the sightings by their error.
+    # The fitted paths are nearer to the truth than the observations, and differ from these by their error.
     error = float(jnp.sqrt(jnp.mean((fitted.paths - paths) ** 2)))
     assert error < 0.005
     assert float(fitted.rms) == pytest.approx(0.01, rel=0.1)
 
 
-def test_with_nothing_free_only_the_starts_are_fitted(pendulums):
+def test_with_nothing_free_only_initial_states_are_fitted(pendulums):
     paths, seen = pendulums
     truth = swinging(9.81)
     free = free_leaves(truth, lambda name: False)

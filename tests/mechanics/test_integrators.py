@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import GOLDEN, cartpole, double_pendulum, end, last, law, on_circle, rollout, start
+from mechanics_examples import GOLDEN, cartpole, double_pendulum, end, initial_state, last, law, on_circle, rollout
 
 from keycld import KeycldError
 from keycld.mechanics import (
@@ -48,11 +48,11 @@ CASES = {
 def errors(make, kind, counts, exact_steps):
     if kind == "free":
         system = law([1.0, 0.5], None, **FREE)
-        state = start(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.array([1.0, 0.0, -0.5, 0.2]))
+        state = initial_state(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.array([1.0, 0.0, -0.5, 0.2]))
     else:
         lower = jnp.array([[0.8, 0.0], [0.3, 0.6]]) if kind == "damped" else None
         system = double_pendulum(input_matrix=push, damping=lower)
-        state = start(system, on_circle([1.0, 0.3]), jnp.array([1.0, 0.5, -0.5, 0.2]))
+        state = initial_state(system, on_circle([1.0, 0.3]), jnp.array([1.0, 0.5, -0.5, 0.2]))
     u, time = jnp.array([0.7]), 0.8
     exact = end(MechanicalDynamics(system, RK4()), state, u, time / exact_steps, exact_steps).coordinates
     found = []
@@ -88,7 +88,7 @@ def test_golden_pendulum(name, integrator):
     golden = np.load(GOLDEN / f"{name}.npz")
     with jax.enable_x64(True):
         system = law([1.0], None, potential=lambda x: -jnp.cos(x[0]))
-        state = start(system, jnp.array([golden["q0"], 0.0]), jnp.array([golden["p0"], 0.0]))
+        state = initial_state(system, jnp.array([golden["q0"], 0.0]), jnp.array([golden["p0"], 0.0]))
         dynamics = MechanicalDynamics(system, integrator)
         motion = rollout(dynamics, state, jnp.zeros(0), float(golden["dt"]), int(golden["num_steps"]))
         np.testing.assert_allclose(motion.x[:, 0], golden["q"], atol=1e-13)
@@ -109,7 +109,7 @@ def energies(system, state, integrator, dt, steps=10_000):
 def test_energy_stays_bounded_and_the_constraint_holds_over_10000_steps(integrator):
     """A swinging unit-size double pendulum in float32; 10,000 steps are 100 s."""
     system = double_pendulum()
-    state = start(system, on_circle([1.2, 1.8]))
+    state = initial_state(system, on_circle([1.2, 1.8]))
     motion, energy, constraint = energies(system, state, integrator, 0.01)
     assert motion.x.dtype == jnp.float32
     assert float(jnp.abs(constraint - constraint[:1]).max()) < 1e-6
@@ -122,7 +122,7 @@ def test_energy_stays_bounded_and_the_constraint_holds_over_10000_steps(integrat
 
 def test_leapfrog_energy_stays_bounded_over_10000_steps_and_eulers_does_not():
     system = law([1.0, 0.5], None, potential=springs)
-    state = start(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.array([1.0, 0.0, -0.5, 0.2]))
+    state = initial_state(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.array([1.0, 0.0, -0.5, 0.2]))
     _, energy, _ = energies(system, state, Leapfrog(), 0.02)
     assert float(jnp.abs(energy - energy[0]).max()) < 0.01 * abs(float(energy[0]))
     _, energy, _ = energies(system, state, Euler(), 0.02, 1000)
@@ -131,7 +131,7 @@ def test_leapfrog_energy_stays_bounded_over_10000_steps_and_eulers_does_not():
 
 def test_without_constraints_rattle_is_velocity_verlet_to_the_bit():
     system = law([1.0, 0.5], None, **FREE)
-    state = start(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.ones(4))
+    state = initial_state(system, jnp.array([0.3, -0.4, 0.5, 0.1]), jnp.ones(4))
     u = jnp.array([0.3])
     one, other = (rollout(MechanicalDynamics(system, i), state, u, 0.05, 20) for i in (Rattle(2), Leapfrog(2)))
     np.testing.assert_array_equal(one.x, other.x)
@@ -140,7 +140,7 @@ def test_without_constraints_rattle_is_velocity_verlet_to_the_bit():
 
 def test_shake_goes_through_the_positions_of_rattle():
     system = double_pendulum(input_matrix=push)
-    state = start(system, on_circle([1.0, 0.3]), jnp.array([1.0, 0.5, -0.5, 0.2]))
+    state = initial_state(system, on_circle([1.0, 0.3]), jnp.array([1.0, 0.5, -0.5, 0.2]))
     u = jnp.array([0.5])
     with jax.enable_x64(True):
         state, u = jax.tree.map(lambda a: a.astype(jnp.float64), (state, u))
@@ -160,7 +160,7 @@ def test_shake_goes_through_the_positions_of_rattle():
 def test_forward_then_backward_returns_to_the_start(integrator, damping):
     """Also with inputs that change from frame to frame: the way back reads the same array in reverse."""
     system = cartpole(input_matrix=push, damping=None if damping is None else jnp.asarray(damping, float))
-    state = start(system, jnp.array([0.1, 0.0, 0.7, 0.8]), jnp.array([0.4, 0.0, 1.0, 0.0]))
+    state = initial_state(system, jnp.array([0.1, 0.0, 0.7, 0.8]), jnp.array([0.4, 0.0, 1.0, 0.0]))
     u = jnp.asarray(np.random.default_rng(0).normal(size=(20, 1)), float)
     dynamics = MechanicalDynamics(system, integrator)
     dt = jnp.asarray(0.02)
@@ -174,7 +174,7 @@ def test_forward_then_backward_returns_to_the_start(integrator, damping):
 @pytest.mark.parametrize("make", [Euler, RK2, RK4, Shake, Rattle], ids=lambda m: m.__name__)
 def test_sub_steps_are_shorter_steps(make):
     system = double_pendulum(input_matrix=push)
-    state = start(system, on_circle([1.0, 0.3]), jnp.ones(4))
+    state = initial_state(system, on_circle([1.0, 0.3]), jnp.ones(4))
     u = jnp.array([0.5])
     coarse = end(MechanicalDynamics(system, make(4)), state, u, 0.08, 1).coordinates
     fine = end(MechanicalDynamics(system, make(1)), state, u, 0.02, 4).coordinates
@@ -184,7 +184,7 @@ def test_sub_steps_are_shorter_steps(make):
 
 def test_roll_out_is_step_after_step():
     system = double_pendulum(input_matrix=push)
-    state = start(system, on_circle([1.0, 0.3]), jnp.ones(4))
+    state = initial_state(system, on_circle([1.0, 0.3]), jnp.ones(4))
     u = jnp.array([[0.5], [-3.0], [2.0]])
     dynamics = MechanicalDynamics(system, Rattle(2))
     rolled = rollout(dynamics, state, u, 0.05, 3)
@@ -198,7 +198,7 @@ def test_roll_out_is_step_after_step():
 
 def test_fast_rotation_of_a_third_of_a_radian_a_step():
     system = double_pendulum()
-    state = start(system, on_circle([0.0, 0.0]), jnp.array([15.0, 0.0, -15.0, 0.0]))
+    state = initial_state(system, on_circle([0.0, 0.0]), jnp.array([15.0, 0.0, -15.0, 0.0]))
     motion = rollout(MechanicalDynamics(system, Rattle()), state, jnp.zeros(0), 0.01, 2000)
     x = np.asarray(motion.x)
     link = np.unwrap(np.arctan2(x[:, 2] - x[:, 0], x[:, 1] - x[:, 3]))
@@ -209,7 +209,7 @@ def test_fast_rotation_of_a_third_of_a_radian_a_step():
 
 def test_batches():
     system = double_pendulum(input_matrix=push)
-    states = [start(system, on_circle([a, 0.3]), jnp.ones(4)) for a in (0.2, 1.0)]
+    states = [initial_state(system, on_circle([a, 0.3]), jnp.ones(4)) for a in (0.2, 1.0)]
     batch = jax.tree.map(lambda *leaves: jnp.stack(leaves), *states)
     u = jnp.array([[0.5], [-1.0]])
     dynamics = MechanicalDynamics(system, Rattle(2))
@@ -219,7 +219,7 @@ def test_batches():
 
 def test_mistakes():
     system = double_pendulum()
-    state = start(system, on_circle([1.0, 0.3]))
+    state = initial_state(system, on_circle([1.0, 0.3]))
     u = jnp.zeros(0)
     damped = double_pendulum(damping=jnp.eye(2))
     with pytest.raises(KeycldError, match="SHAKE .* cannot damp"):

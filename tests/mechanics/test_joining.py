@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import cartpole, double_pendulum, end, law, on_circle, pendulum, start
+from mechanics_examples import cartpole, double_pendulum, end, initial_state, law, on_circle, pendulum
 
 from keycld.mechanics import RK4, MechanicalDynamics, Motion, Rattle, State, joining_velocity
 
@@ -22,7 +22,7 @@ def test_finds_the_velocity_that_was_there(name):
     """Up to half a radian a frame, as the fastest runs of the benchmark turn."""
     make, x, speed = SYSTEMS[name]
     dynamics = MechanicalDynamics(make(), Rattle(4))
-    state = start(dynamics.law, x, speed * jnp.array([0.8, 0.6, -0.9, 0.3])[: len(x)])
+    state = initial_state(dynamics.law, x, speed * jnp.array([0.8, 0.6, -0.9, 0.3])[: len(x)])
     there = end(dynamics, state, jnp.zeros(0), 0.02, 1)
     found = joining(dynamics, x, there.coordinates.x, state.parameters, jnp.zeros(0), 0.02)
     np.testing.assert_allclose(found, state.coordinates.v, atol=2e-5 * speed)
@@ -31,7 +31,7 @@ def test_finds_the_velocity_that_was_there(name):
 def test_without_constraints_and_with_input():
     system = law([1.0], None, input_matrix=lambda x: jnp.stack([x[1], -x[0]])[:, None])
     dynamics = MechanicalDynamics(system, RK4())
-    state = start(system, jnp.array([0.3, 0.5]), jnp.array([2.0, -1.0]))
+    state = initial_state(system, jnp.array([0.3, 0.5]), jnp.array([2.0, -1.0]))
     u = jnp.array([1.5])
     there = end(dynamics, state, u, 0.05, 1)
     found = joining(dynamics, state.coordinates.x, there.coordinates.x, state.parameters, u, 0.05)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import GOLDEN, GRAVITY, double_pendulum, last, law, on_circle, pendulum, rollout, start
+from mechanics_examples import GOLDEN, GRAVITY, double_pendulum, initial_state, last, law, on_circle, pendulum, rollout
 
 from keycld.mechanics import (
     RK4,
@@ -172,7 +172,7 @@ def test_constrained_pendulum_is_the_pendulum_of_one_angle():
         expected = swing(lambda q: jnp.eye(1), lambda q: -GRAVITY * jnp.cos(q[0]), [angle], [0.0], 0.02, 100)
         system = pendulum()
         dynamics = MechanicalDynamics(system, Rattle(32))
-        motion = rollout(dynamics, start(system, on_circle([angle])), jnp.zeros(0), 0.02, 100)
+        motion = rollout(dynamics, initial_state(system, on_circle([angle])), jnp.zeros(0), 0.02, 100)
         np.testing.assert_allclose(motion.x[:, 0], np.sin(expected[:, 0]), atol=1e-4)
         np.testing.assert_allclose(motion.x[:, 1], -np.cos(expected[:, 0]), atol=1e-4)
 
@@ -190,7 +190,7 @@ def test_constrained_double_pendulum_is_its_pull_back():
         state = State(Motion(angles, jnp.array([0.5, -0.3])), {})
         q, qdot = rollout(MechanicalDynamics(general, RK4(4)), state, u, 0.02, 50)
         x, v = jax.jvp(chain, (angles,), (state.coordinates.v,))
-        motion = rollout(MechanicalDynamics(system, RK4(4)), start(system, x, v), u, 0.02, 50)
+        motion = rollout(MechanicalDynamics(system, RK4(4)), initial_state(system, x, v), u, 0.02, 50)
         np.testing.assert_allclose(motion.x, jax.vmap(chain)(q), atol=1e-6)
         energy = jax.vmap(general.energy)(q, qdot)
         np.testing.assert_allclose(energy, jax.vmap(system.energy)(*motion), rtol=1e-5)
@@ -205,7 +205,7 @@ def test_four_bar_linkage_with_a_redundant_bar():
     system = law([1.0, 2.0, 0.5], Constraints(names, items))
     angle = 1.3
     bar = np.array([np.sin(angle), -np.cos(angle)])
-    state = start(system, (feet + bar).reshape(-1))
+    state = initial_state(system, (feet + bar).reshape(-1))
     x = state.coordinates.x
     jacobian = system.jacobian(x)
     assert np.linalg.matrix_rank(np.asarray(jacobian), tol=1e-4) == 5 and len(jacobian) == 6
@@ -222,7 +222,7 @@ def test_four_bar_linkage_with_a_redundant_bar():
 
 def test_period_of_a_small_swing():
     system = pendulum()
-    state = start(system, on_circle([0.01]))
+    state = initial_state(system, on_circle([0.01]))
     period = 2 * np.pi / np.sqrt(GRAVITY)
     half = last(rollout(MechanicalDynamics(system, Rattle(4)), state, jnp.zeros(0), period / 200, 100))
     np.testing.assert_allclose(half.x[0], -state.coordinates.x[0], rtol=1e-3)
@@ -231,6 +231,6 @@ def test_period_of_a_small_swing():
 def test_damped_free_mass_comes_to_rest_as_an_exponential():
     damping, time = 0.6, 2.0
     system = law([0.5], None, damping=jnp.array([[damping**0.5]]), potential=lambda x: 0.0 * x[0])
-    state = start(system, jnp.zeros(2), jnp.array([1.0, -2.0]))
+    state = initial_state(system, jnp.zeros(2), jnp.array([1.0, -2.0]))
     moved = last(rollout(MechanicalDynamics(system, Rattle()), state, jnp.zeros(0), time / 50, 50))
     np.testing.assert_allclose(moved.v, np.exp(-damping / 0.5 * time) * np.array([1.0, -2.0]), rtol=1e-5)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mechanics_examples import GRAVITY, cartpole, double_pendulum, law, on_circle, pendulum, start
+from mechanics_examples import GRAVITY, cartpole, double_pendulum, initial_state, law, on_circle, pendulum
 
 from keycld import KeycldError
 from keycld.mechanics import ConstrainedLagrangian, Constraints, DistanceToPoint, FixedDistance, PointMasses
@@ -55,7 +55,7 @@ def test_atwood_machine_by_a_function():
 
 def test_acceleration_keeps_the_constraint_to_second_order():
     acrobot = double_pendulum()
-    state = start(acrobot, on_circle([0.4, 2.0]), jnp.array([1.0, -2.0, 0.5, 3.0]))
+    state = initial_state(acrobot, on_circle([0.4, 2.0]), jnp.array([1.0, -2.0, 0.5, 3.0]))
     x, v = state.coordinates
     a = accelerate(acrobot, x, v, jnp.zeros(0))
 
@@ -76,7 +76,7 @@ def test_constants_do_not_matter():
         shifted,
         Constraints(("elbow", "tip"), (lambda x, p: acrobot.constraint(x) + 7.0,)),
     )
-    x, v = start(acrobot, on_circle([1.0, 2.0]), jnp.ones(4)).coordinates
+    x, v = initial_state(acrobot, on_circle([1.0, 2.0]), jnp.ones(4)).coordinates
     u = jnp.zeros(0)
     np.testing.assert_allclose(accelerate(acrobot, x, v, u), accelerate(shifted, x, v, u), rtol=1e-5)
 
@@ -126,7 +126,7 @@ def test_damping_takes_energy_away():
     lower = jnp.array([[0.5, 9.0], [0.2, 0.4]])  # the 9 is above the diagonal and does not count
     damped = double_pendulum(damping=lower)
     free = double_pendulum()
-    x, v = start(free, on_circle([1.0, 0.2]), jnp.array([1.0, 0.0, -1.0, 2.0])).coordinates
+    x, v = initial_state(free, on_circle([1.0, 0.2]), jnp.array([1.0, 0.0, -1.0, 2.0])).coordinates
     u = jnp.zeros(0)
     low = np.tril(np.asarray(lower))
     np.testing.assert_allclose(damped.damping_matrix, low @ low.T, rtol=1e-6)
@@ -140,7 +140,7 @@ def test_redundant_constraints_change_nothing():
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
     once = law([1.0, 0.7], Constraints(("elbow", "tip"), items))
     twice = law([1.0, 0.7], Constraints(("elbow", "tip"), (*items, *items)))
-    x, v = start(once, on_circle([0.4, 1.9]), jnp.array([1.0, 2.0, 0.3, -1.0])).coordinates
+    x, v = initial_state(once, on_circle([0.4, 1.9]), jnp.array([1.0, 2.0, 0.3, -1.0])).coordinates
     u = jnp.zeros(0)
     np.testing.assert_allclose(accelerate(twice, x, v, u), accelerate(once, x, v, u), rtol=1e-4)
     np.testing.assert_allclose(twice.project_velocity(x, v + 1), once.project_velocity(x, v + 1), atol=1e-5)
@@ -163,3 +163,8 @@ def test_mistakes():
         double_pendulum(damping=jnp.eye(4))
     with pytest.raises(KeycldError, match="'str' is no constraint"):
         ConstrainedLagrangian(PointMasses.ones(1), jnp.sum, None, "pendulum")
+
+
+def test_number_of_inputs():
+    assert pendulum().inputs == 0
+    assert cartpole(input_matrix=Uniform(jnp.ones((4, 2)))).inputs == 2

@@ -5,7 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import GOLDEN, GRAVITY, law, start
+from mechanics_examples import GOLDEN, GRAVITY, initial_state, law
 
 from keycld import KeycldError
 from keycld.mechanics import (
@@ -208,7 +208,7 @@ def test_gradients_of_a_roll_out_are_finite_and_right(name):
 def test_phase_space_leapfrog_is_velocity_verlet():
     """With unit masses p = v: the two forms of leapfrog give the same path."""
     system = law([1.0], None, input_matrix=push, potential=potential)
-    state, u = start(system, jnp.array([0.4, -0.7]), jnp.array([0.5, 0.3])), jnp.array([0.6])
+    state, u = initial_state(system, jnp.array([0.4, -0.7]), jnp.array([0.5, 0.3])), jnp.array([0.6])
     motion = rollout(MechanicalDynamics(system, Leapfrog()), state, u, 0.1, 20)
     hamiltonian = SeparableHamiltonian(half_square, potential, push)
     q, p = rollout(

@@ -22,7 +22,7 @@ CONSTRAINTS = Constraints(("elbow", "tip"), (DistanceToPoint("elbow", "pivot"), 
 
 
 def problem():
-    """Everything that training differentiates by: the law, the start, the constants, a pivot, the input."""
+    """Everything that training differentiates by: the law, the initial_state, the constants, a pivot, the input."""
     keys = jax.random.split(jax.random.key(0))
     potential = AffineMLPPotential(4, 8, key=keys[0])
     potential = eqx.tree_at(lambda p: p.weight, potential, jnp.array([0.3, 6.0, -0.2, 4.0]))
@@ -38,8 +38,8 @@ def problem():
     x = on_circle([1.0, 2.0])
     pivot = jnp.array([0.1, -0.05])
     constants = system.constraint(x, {"pivot": pivot})
-    start = (x, jnp.array([1.0, -0.5, 2.0, 0.3]), constants, pivot, jnp.array([0.6]))
-    return MechanicalDynamics(system, Rattle(2)), start
+    initial_state = (x, jnp.array([1.0, -0.5, 2.0, 0.3]), constants, pivot, jnp.array([0.6]))
+    return MechanicalDynamics(system, Rattle(2)), initial_state
 
 
 def loss(everything):

@@ -58,9 +58,9 @@ def test_its_run_folder_is_made_where_it_is_missing(tmp_path, monkeypatch):
 
 
 def test_damaged_weights_are_told_from_missing_ones(tmp_path, monkeypatch):
-    shelf = shutil.copytree(Path(keycld.__file__).parent / "training" / "weights", tmp_path / "shelf")
-    whole = (shelf / "pendulum" / "weights.npz").read_bytes()
-    (shelf / "pendulum" / "weights.npz").write_bytes(whole[: len(whole) // 2])
+    shelf = shutil.copytree(Path(keycld.__file__).parent / "weights", tmp_path / "shelf")
+    whole = (shelf / "pendulum" / "weights.safetensors").read_bytes()
+    (shelf / "pendulum" / "weights.safetensors").write_bytes(whole[: len(whole) // 2])
     # By the dotted name it would be the function of that name.
     monkeypatch.setattr(sys.modules["keycld.training.pretrained"], "_SHELF", shelf)
     with pytest.raises(KeycldError, match="packaged model 'pendulum' is damaged"):

@@ -9,12 +9,23 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld._lock import locked
-from keycld.data import open_data, resident
+from keycld.data import open_data
+from keycld.models import config_for
+from keycld.models.keycld.prepare import cache_keypoints, fit_dynamics, measure_velocity_prior, share_constants
+from keycld.models.keycld.recipes.fast import FastConfig
 from keycld.training import finished, load_run, train
-from keycld.training.checkpoints import latest_checkpoint, load_leaves, save_checkpoint
-from keycld.training.presets import FastRecipe
-from keycld.training.presets.prepare import cache_keypoints, fit_dynamics, measure_beginning, share_constants
+from keycld.training.checkpoints import (
+    STATE,
+    WEIGHTS,
+    latest_checkpoint,
+    load_arrays,
+    named_arrays,
+    save_arrays,
+    save_checkpoint,
+)
 from scenes import TINY
+
+CONFIG = config_for("keycld", "fast", **TINY)
 
 
 @pytest.fixture(scope="module")
@@ -51,11 +62,11 @@ def cut(root, stage: int, done: bool):
 def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, capsys, done, last, logged):
     """To the end of that stage, or of the next one, whose checkpoint the uninterrupted run has kept."""
     root, data, _ = whole
-    stages, count = FastRecipe.stages, 1 + done
-    monkeypatch.setattr(FastRecipe, "stages", lambda *arguments: stages(*arguments)[:count])
+    stages, count = FastConfig.stages, 1 + done
+    monkeypatch.setattr(FastConfig, "stages", lambda *arguments: stages(*arguments)[:count])
     run = cut(root, 0, done)
-    resumed = train(data, run, settings=TINY, checkpoint_seconds=0.0, log_every=2)
-    (expected,) = load_leaves(root / "whole" / "checkpoints" / last, (resumed,))
+    resumed = train(data, run, CONFIG, checkpoint_seconds=0.0, log_every=2)
+    expected = load_arrays(root / "whole" / "checkpoints" / last / WEIGHTS, resumed)
     assert_same(expected, resumed)
     assert steps(run) == logged
     # Six steps teach nobody to see, and who waits is told at the end of that stage.
@@ -67,24 +78,62 @@ def test_a_finished_run_loads_without_its_data(whole):
     assert finished(root / "whole")
     loaded, config = load_run(root / "whole")
     assert_same(model, loaded)
-    assert config.scene["keypoints"] == ["disc"]
+    assert config.scene["inputs"] == 1 and "disc" in config.settings["constraints"]
 
 
-def test_a_run_with_settings_of_an_older_recipe_still_loads(whole):
+def test_a_configuration_of_schema_1_is_migrated(whole):
+    """Flat settings, and constraints and keypoints outside of them."""
     root, _, model = whole
     old = shutil.copytree(root / "whole", root / "old")
     config = json.loads((old / "config.json").read_text())
-    config["settings"]["no_longer_there"] = 6
+    settings = config["settings"]
+    flat = {"width": 8, "begin": 0.5, "vision_steps": 6, "joint_horizons": [6, 8], "joint_rate": 2e-3, "groups": 2}
+    config |= {
+        "settings": flat | {"vision_batch": 4, "candidates": 2, "trial": 2, "long_steps": 0},
+        "constraints": settings["constraints"],
+        "dt": config["scene"].pop("dt"),
+        "moved_inputs": [True],
+    }
+    config["scene"]["keypoints"] = ["disc"]
+    for name in ("schema_version", "input_names", "epsilon"):
+        del config[name]
     (old / "config.json").write_text(json.dumps(config))
-    assert_same(model, load_run(old)[0])
+    loaded, now = load_run(old)
+    assert_same(model, loaded)
+    assert now.settings["vision"] == settings["vision"] and now.settings["joint"]["horizons"] == [6, 8]
+    assert now.settings["long"]["rate"] == 2e-3 and now.scene["dt"] == 0.05
+
+
+def test_a_renamed_field_is_a_migration_and_not_damage(tmp_path):
+    save_arrays(
+        tmp_path / "w.safetensors", {"start": {"constants": np.arange(2.0, dtype="f4")}, "dynamics": np.ones((), "f4")}
+    )
+    like = {"initial_state": {"constants": np.zeros(2, "f4")}, "dynamics": np.zeros((), "f4")}
+    found = load_arrays(tmp_path / "w.safetensors", like, {"start.": "initial_state."})
+    np.testing.assert_array_equal(found["initial_state"]["constants"], [0, 1])
+    with pytest.raises(KeycldError, match="'initial_state.constants' is missing"):
+        load_arrays(tmp_path / "w.safetensors", like)
+    with pytest.raises(KeycldError, match=r"has the shape \[2\], not \[3\]"):
+        load_arrays(
+            tmp_path / "w.safetensors", {"start": {"constants": np.zeros(3, "f4")}, "dynamics": np.zeros((), "f4")}
+        )
+
+
+def test_a_later_schema_is_refused(whole, tmp_path):
+    root, _, _ = whole
+    run = shutil.copytree(root / "whole", tmp_path / "later")
+    config = json.loads((run / "config.json").read_text())
+    (run / "config.json").write_text(json.dumps(config | {"schema_version": 99}))
+    with pytest.raises(KeycldError, match="schema_version 99 is later than"):
+        load_run(run)
 
 
 def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_path):
     root, data, model = whole
     with pytest.raises(KeycldError, match="seed was 0, now 1"):
-        train(data, root / "whole", settings=TINY, seed=1)
-    with pytest.raises(KeycldError, match="settings.joint_rate was .*, now 0.5"):
-        train(data, root / "whole", settings=TINY | {"joint_rate": 0.5})
+        train(data, root / "whole", CONFIG, seed=1)
+    with pytest.raises(KeycldError, match="settings.joint.rate was 0.002, now 0.5"):
+        train(data, root / "whole", CONFIG.changed({"joint.rate": 0.5}))
 
 
 def test_the_control_preset_ends_with_a_fit_of_the_dynamics_alone(whole, tmp_path):
@@ -94,11 +143,11 @@ def test_the_control_preset_ends_with_a_fit_of_the_dynamics_alone(whole, tmp_pat
     config = json.loads((run / "config.json").read_text())
     config |= {"preset": "control", "settings": config["settings"] | {"last_fit": 6}}
     (run / "config.json").write_text(json.dumps(config))
-    after = train(data, run, preset="control", settings=TINY | {"last_fit": 6})
+    after = train(data, run, config_for("keycld", "control", **TINY, last_fit=6))
     assert_same((before.estimator, before.renderer), (after.estimator, after.renderer))
-    _, cached = cache_keypoints(before, resident(open_data(data).train()))
+    _, cached = cache_keypoints(before, open_data(data).resident())
     prepared, _ = share_constants(before, cached)
-    expected, _ = measure_beginning(*fit_dynamics(prepared, cached, trajectories=6))
+    expected, _ = measure_velocity_prior(*fit_dynamics(prepared, cached, trajectories=6))
     assert_same(expected, after)
     assert (run / "checkpoints" / "latest").read_text().startswith("05-fit") and finished(run)
 
@@ -108,38 +157,53 @@ def test_two_processes_do_not_train_in_one_folder(whole, tmp_path):
     run = shutil.copytree(root / "whole", tmp_path / "run")
     # A lock belongs to an open file, not to a process, so this one may stand for another.
     with locked(run / ".lock"), pytest.raises(KeycldError, match="another process is training in .*run"):
-        train(data, run, settings=TINY)
+        train(data, run, CONFIG)
 
 
 def test_what_the_recipe_refuses_leaves_no_folder(whole, tmp_path):
     _, data, _ = whole
     for refused in ({"width": 12}, {"given": 1}):
         with pytest.raises(KeycldError):
-            train(data, tmp_path / "run", settings=TINY | refused)
+            train(data, tmp_path / "run", config_for("keycld", "fast", **TINY | refused))
     assert not (tmp_path / "run").exists()
 
 
 def test_a_half_written_checkpoint_is_not_used(tmp_path):
-    save_checkpoint(tmp_path, "00-a-000001", {"w": np.arange(3.0)}, {"step": 1})
+    save_checkpoint(tmp_path, "00-a-000001", {"w": np.arange(3, dtype="f4")}, {"m": np.ones(2, "f4")}, {"step": 1})
     half = tmp_path / "checkpoints" / ".00-a-000002.partial"
     half.mkdir()
-    (half / "leaves.eqx").write_bytes(b"half")
+    (half / WEIGHTS).write_bytes(b"half")
     found = latest_checkpoint(tmp_path)
     assert found is not None and found.name == "00-a-000001"
-    np.testing.assert_array_equal(load_leaves(found, {"w": np.zeros(3)})["w"], [0, 1, 2])
+    np.testing.assert_array_equal(load_arrays(found / WEIGHTS, {"w": np.zeros(3, "f4")})["w"], [0, 1, 2])
+    np.testing.assert_array_equal(load_arrays(found / STATE, {"m": np.zeros(2, "f4")})["m"], [1, 1])
 
 
 def test_a_truncated_checkpoint_is_named(tmp_path):
-    path = save_checkpoint(tmp_path, "00-a-000001", {"w": np.arange(300.0)}, {"step": 1})
-    data = (path / "leaves.eqx").read_bytes()
-    (path / "leaves.eqx").write_bytes(data[: len(data) // 2])
+    path = save_checkpoint(tmp_path, "00-a-000001", {"w": np.arange(300.0)}, {}, {"step": 1})
+    data = (path / WEIGHTS).read_bytes()
+    (path / WEIGHTS).write_bytes(data[: len(data) // 2])
     with pytest.raises(KeycldError, match="00-a-000001.*damaged"):
-        load_leaves(path, {"w": np.zeros(300)})
+        load_arrays(path / WEIGHTS, {"w": np.zeros(300, "f4")})
+
+
+def test_arrays_of_every_kind_come_back_as_they_were(tmp_path):
+    tree = {
+        "scalar": np.float32(2.5),
+        "empty": np.zeros((0, 3), "f4"),
+        "bits": np.array([True, False]),
+        "n": np.array(7, "i4"),
+    }
+    save_arrays(tmp_path / "a.safetensors", {**tree, "none": None, "function": np.sin})
+    found = load_arrays(tmp_path / "a.safetensors", {k: np.zeros_like(v) for k, v in tree.items()})
+    for name, value in named_arrays(tree).items():
+        np.testing.assert_array_equal(found[name], value)
+        assert found[name].shape == value.shape
 
 
 def test_old_checkpoints_are_deleted_only_after_a_new_one(tmp_path):
     for k in range(4):
-        save_checkpoint(tmp_path, f"00-a-{k:06d}", {"w": np.zeros(1)}, {"step": k}, keep=2)
+        save_checkpoint(tmp_path, f"00-a-{k:06d}", {"w": np.zeros(1)}, {}, {"step": k}, keep=2)
     names = {p.name for p in (tmp_path / "checkpoints").iterdir() if p.is_dir()}
     assert names == {"00-a-000002", "00-a-000003"}
 
@@ -147,4 +211,4 @@ def test_old_checkpoints_are_deleted_only_after_a_new_one(tmp_path):
 def test_an_unwritable_folder_is_named(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(KeycldError, match="cannot write"):
-        save_checkpoint(tmp_path / "file", "x", {}, {})
+        save_checkpoint(tmp_path / "file", "x", {}, {}, {})

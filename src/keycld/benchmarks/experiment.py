@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from keycld import systems
 from keycld.data import make_data
 from keycld.evaluation import Protocol
 from keycld.models import ModelConfig, config_for
+from keycld.systems import get
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Experiment:
         config = config_for(self.model, self.preset, **self.settings)
         if "given" in config.settings() and "given" not in self.settings:
             config = config.changed({"given": self.protocols[0].given})
-        return config.completed(systems.get(self.data.system))
+        return config.completed(get(self.data.system))
 
     def hash(self) -> str:
         """Return the hash of all that decides the outcome: model, preset, all settings, seed, data recipe."""

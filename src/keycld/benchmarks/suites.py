@@ -29,8 +29,8 @@ class Suite:
         name: of the suite.
         title: what it is, for the reader.
         data: recipes of its data sets, one a column of its table.
-        models: what is trained unless told.
-        seeds: with which seeds unless told.
+        models: what is trained by default.
+        seeds: with which seeds by default.
         protocols: how everything is scored; the first is the headline.
     """
 

@@ -1,15 +1,15 @@
 """`keycld control`."""
 
 import ast
+import math
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import tyro
 
-import keycld
-from keycld import KeycldError
+from keycld._errors import KeycldError
 
-LAWS = Path(keycld.__file__).parent / "control" / "laws"
+LAWS = Path(__file__).parent.parent / "control" / "laws"
 
 
 def law_titles() -> str:
@@ -47,7 +47,7 @@ def control(
     seconds: float = 10.0,
     trials: int = 1,
     seed: int = 0,
-    estimator: Literal["predict-correct", "differences"] = "predict-correct",
+    estimator: Annotated[str, tyro.conf.arg(metavar="NAME")] = "predict-correct",
     noise: float = 0.0,
     drop: float = 0.0,
     out: Path | None = None,
@@ -73,14 +73,14 @@ def control(
         seconds: Duration of each trial.
         trials: How many random initial states, all at rest; the first one is timed and shown.
         seed: Of initial states, noise and random inputs.
-        estimator: How velocities are estimated: predict-correct uses the learned dynamics, differences two frames.
+        estimator: The state estimator: predict-correct uses the learned dynamics, differences the last two frames.
         noise: Deviation of noise on the pictures, as a share of the full range.
         drop: Probability that a frame does not arrive.
         out: Folder for the results; by default the run's own.
         workers: Processes that simulate and render, at most four; by default one a core.
         json: Print the scores as JSON instead of a summary.
     """
-    from keycld.cli.train import parse_setting
+    from keycld.cli.settings import parse_setting
     from keycld.control import ControlConfig, Disturbance, law_named, swing_up
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
@@ -100,6 +100,8 @@ def control(
     picture = None if goal == "upright" else _picture(Path(goal))
     folder = run_folder(run)
     model, config = load_run(folder)
+    if math.isnan(config.epsilon):
+        raise KeycldError(f"{folder} is of an earlier version, which did not record ε of its data: train it again.")
     result = swing_up(
         model,
         get(config.system),

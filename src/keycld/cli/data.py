@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from keycld import KeycldError
+from keycld._errors import KeycldError
 
 
 def make(

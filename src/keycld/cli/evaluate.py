@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from keycld import KeycldError
+from keycld._errors import KeycldError
 
 if TYPE_CHECKING:
     from keycld.data import DataSet

@@ -5,7 +5,7 @@ import os
 
 def info() -> None:
     """Tell what is installed, which devices JAX sees, and which renderer MuJoCo uses."""
-    from keycld import KeycldError
+    from keycld._errors import KeycldError
     from keycld.systems import is_software, renderer_name
     from keycld.training import environment
 

@@ -7,8 +7,8 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
-from keycld import KeycldError, __version__
-from keycld._errors import unknown
+from keycld._errors import KeycldError, unknown
+from keycld._version import __version__
 from keycld.cli import bench, control, data, demo, evaluate, info, models, predict, report, train
 
 

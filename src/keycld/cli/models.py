@@ -1,20 +1,23 @@
 """`keycld models`."""
 
 import json
+from typing import Annotated
+
+import tyro
 
 
-def models(*, json_: bool = False) -> None:
+def models(*, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
     """List the models that can be trained: families, presets, what each model can do, and its size.
 
     Parameters are counted at 32 × 32 pixels without inputs, in the default preset; KeyCLD's with one keypoint.
 
     Args:
-        json_: Print a JSON list instead of a table.
+        as_json: Print a JSON list instead of a table.
     """
     from keycld.models.listing import listing
 
     rows = listing()
-    if json_:
+    if as_json:
         print(json.dumps(rows, indent=1))
         return
     width = max(len(row["name"]) for row in rows)

@@ -1,4 +1,4 @@
-"""Settings of a preset as words, for verbs that train several models."""
+"""Settings as words, for verbs where they are not flags: several models to train, a control law."""
 
 from typing import Any
 

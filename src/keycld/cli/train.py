@@ -28,7 +28,7 @@ def train(
 ) -> None:
     """Train a model from pictures; the same command resumes a run that was killed.
 
-    Settings of the preset are flags too: `keycld train cartpole --vision.steps 500`. What is listed below belongs to the
+    Settings of the preset are flags too: `keycld train cartpole --vision.steps 500`. The list below belongs to the
     model and the preset that are named: `keycld train --model node2 --preset paper --help` lists others.
 
     Args:

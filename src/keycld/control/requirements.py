@@ -43,7 +43,7 @@ def plant_inputs(lagrangian: HasLagrangian, names: Sequence[str], system: Abstra
     Raises:
         KeycldError: the model has no input, or another number than there are names; or the system lacks one of them.
     """
-    inputs = lagrangian.law.inputs or 0
+    inputs = lagrangian.law.inputs
     if not inputs:
         raise KeycldError(
             "this model was trained on data without inputs, so it knows the effect of none: train on data that "
@@ -51,7 +51,7 @@ def plant_inputs(lagrangian: HasLagrangian, names: Sequence[str], system: Abstra
         )
     if inputs != len(names):
         raise KeycldError(
-            f"this model has {inputs} inputs, but {len(names)} are named ({', '.join(names)}): name the inputs of its "
+            f"the model takes {inputs} input(s), but {len(names)} are named ({', '.join(names)}): name those of its "
             "training data, in their order."
         )
     positions_of(system.input_names, names)

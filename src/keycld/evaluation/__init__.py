@@ -34,6 +34,7 @@ from keycld.evaluation.published import PAPER_VPT as PAPER_VPT
 from keycld.evaluation.published import published_vpt as published_vpt
 from keycld.evaluation.reference_images import References as References
 from keycld.evaluation.reference_images import references as references
+from keycld.evaluation.reference_images import validation_epsilon as validation_epsilon
 from keycld.evaluation.storage import as_json as as_json
 from keycld.evaluation.storage import load_evaluation as load_evaluation
 from keycld.evaluation.storage import save_evaluation as save_evaluation
@@ -84,4 +85,5 @@ __all__ = [
     "summary",
     "threshold_text",
     "valid_prediction_time",
+    "validation_epsilon",
 ]

@@ -135,10 +135,11 @@ def evaluate(
         passed += _add_observations(arrays, model)
         if system is not None:
             assert done.states is not None
-            scored = protocol.split, protocol.trajectories
-            state, curves, frames = score_states(model, data, system, shared, scored, (keypoints, done.states))
-            scores["state"] = state
-            arrays |= curves
+            # From the given end on, so that errors at the last frame are those of the longest prediction.
+            order = slice(None, None, -1 if protocol.backward else 1)
+            rolled, scored = (keypoints[:, order], done.states[:, order]), (protocol.split, protocol.trajectories)
+            scores["state"], curves, frames = score_states(model, data, system, shared, scored, rolled)
+            arrays |= {name: curve[:, order] for name, curve in curves.items()}
             passed += frames
     scores["frames_passed"] = passed
     return Evaluation(scores, arrays)

@@ -57,6 +57,18 @@ class References:
         return self.states[:: max(1, len(self.states) // most)]
 
 
+def validation_epsilon(data: "DataSet") -> float:
+    """Return ε, the error of the validation set's mean image, eq. (16); of 2,000 evenly spread trajectories at most.
+
+    Raises:
+        KeycldError: the file is missing, or has neither pictures nor a renderer of ours.
+    """
+    moments = PixelMoments()
+    for _, recordings in blocks(data, "validation", evenly(data.count("validation"), _MOST_TRAJECTORIES)):
+        moments.add(_pictures(recordings))
+    return moments.epsilon
+
+
 def references(data: "DataSet") -> References:
     """Read the training and validation sets, a block at a time, for any number of protocols.
 
@@ -66,10 +78,7 @@ def references(data: "DataSet") -> References:
     Raises:
         KeycldError: a file is missing, or has neither pictures nor a renderer of ours.
     """
-    validation, train = PixelMoments(), PixelMoments()
-    chosen = evenly(data.count("validation"), _MOST_TRAJECTORIES)
-    for _, recordings in blocks(data, "validation", chosen):
-        validation.add(_pictures(recordings))
+    threshold, train, counted = validation_epsilon(data), PixelMoments(), data.count("validation")
     about = data.split("train", images=False, rows=slice(0, 1))
     known = about.state is not None and "units" in about.attributes
     count = data.count("train")
@@ -83,15 +92,16 @@ def references(data: "DataSet") -> References:
         if known:
             n, t = visited(taken, about.frames, step)
             images.append(image[n, t])
+            assert recordings.state is not None
             states.append(recordings.state[n, t])
     return References(
-        epsilon=validation.epsilon,
+        epsilon=threshold,
         mean_image=train.mean,
         images=np.concatenate(images) if known else np.zeros((0, *train.mean.shape), np.uint8),
         states=np.concatenate(states) if known else None,
         angles=angular(about.attributes) if known else None,
         sources={
-            "validation_trajectories": validation.trajectories,
+            "validation_trajectories": len(range(*evenly(counted, _MOST_TRAJECTORIES).indices(counted))),
             "train_trajectories": train.trajectories,
             "retrieved_frames": sum(map(len, images)),
         },

@@ -1,4 +1,4 @@
-"""Constraints in a small TOML file beside the data.
+"""Constraints in a small TOML file next to the data.
 
 keypoints = ["cart", "tip"]
 

@@ -88,7 +88,7 @@ def fit_motions(
         inputs = push if push.ndim == 1 else push[: length - 1]
         return model.rollout(State(Motion(x, v), {"constants": held}), inputs, dt, length - 1).x
 
-    def begin(x: Array, held: Array, push: Array) -> Array:
+    def first_guess(x: Array, held: Array, push: Array) -> Array:
         first, second = law.project_position(x[0], held), law.project_position(x[1], held)
         first_input = push if push.ndim == 1 else push[0]
         v = joining_velocity(dynamics, first, second, {"constants": held}, first_input, dt)
@@ -121,7 +121,7 @@ def fit_motions(
         size = matrix.shape[-1]
         return matrix + (damping * jnp.trace(matrix) / size + 1e-12) * jnp.eye(size)
 
-    def fit_starts(carry, frames):
+    def fit_initial_states(carry, frames):
         z, damping, theta = carry
         mask = (jnp.arange(length) < frames).astype(seen.dtype)
 
@@ -155,9 +155,9 @@ def fit_motions(
         pick = lambda new, old: jnp.where(better, new, old)  # noqa: E731
         return (pick(new_z, z), pick(new_theta, theta), jnp.where(better, 0.2 * damping, 10 * damping)), None
 
-    z = each(begin, seen, constants, u)
+    z = each(first_guess, seen, constants, u)
     growing = jnp.repeat(jnp.array(horizons), starts)
-    (z, _, _), _ = jax.lax.scan(fit_starts, (z, jnp.full(count, 1e-2), flat), growing)
+    (z, _, _), _ = jax.lax.scan(fit_initial_states, (z, jnp.full(count, 1e-2), flat), growing)
     if flat.size:
         (z, flat, _), _ = jax.lax.scan(fit_all, (z, flat, jnp.array(1e-3)), length=iterations)
     paths = each(lambda z, held, push: path(z, flat, held, push), z, constants, u)

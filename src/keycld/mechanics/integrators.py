@@ -19,7 +19,7 @@ class AbstractIntegrator(eqx.Module):
     """One frame of motion in `substeps` equal steps, the input held; forward, or backward with negative dt.
 
     An integrator may remember what it knows at the end of a sub-step (forces, DΦ), because the next one
-    starts there: `begin` makes that memory, `advance` takes one sub-step and renews it.
+    continues from there: `begin` makes that memory, `advance` takes one sub-step and renews it.
 
     What it integrates, `field` below, is an `AbstractLaw` or another `AbstractField`; each integrator says which
     ones it can follow.

@@ -71,8 +71,8 @@ class Rattle(AbstractIntegrator):
         """Take one step."""
         fields, jacobian, decay = memory
         v = _damp(law, jacobian, decay, motion.v)
-        start = Motion(motion.x, v + h / 2 * law.over_mass(combine(fields, u)))
-        x, middle = constrained_drift(law, start, jacobian, parameters, h, self.iterations)
+        kicked = Motion(motion.x, v + h / 2 * law.over_mass(combine(fields, u)))
+        x, middle = constrained_drift(law, kicked, jacobian, parameters, h, self.iterations)
         fields = law.fields(x)
         jacobian = law.jacobian(x, parameters)
         v = tangential(law, jacobian, middle + h / 2 * law.over_mass(combine(fields, u)))

@@ -130,7 +130,7 @@ class Shake(AbstractIntegrator):
     ) -> tuple[Motion, Any]:
         """Take one step."""
         fields, jacobian = memory
-        start = Motion(motion.x, motion.v + h / 2 * law.over_mass(combine(fields, u)))
-        x, middle = constrained_drift(law, start, jacobian, parameters, h, self.iterations)
+        kicked = Motion(motion.x, motion.v + h / 2 * law.over_mass(combine(fields, u)))
+        x, middle = constrained_drift(law, kicked, jacobian, parameters, h, self.iterations)
         fields = law.fields(x)
         return Motion(x, middle + h / 2 * law.over_mass(combine(fields, u))), (fields, law.jacobian(x, parameters))

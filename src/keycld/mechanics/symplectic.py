@@ -75,7 +75,7 @@ class Composition(AbstractIntegrator):
                 point = PhasePoint(point.q, point.p + next(kicks) * h * combine(known, u))
             else:
                 point = PhasePoint(point.q + next(drifts) * h * known, point.p)
-        # A kick leaves q, and so ∇V, as it is: a step that ends as the next one begins hands over what it knows.
+        # A kick does not change q, nor a drift p: after a last stage like the first, what is known still holds.
         return point, known if kick == self.kick_first else self._known(field, point, self.kick_first)
 
     def _known(self, field: SeparableHamiltonian, point: PhasePoint, kick: bool) -> Any:

@@ -168,5 +168,5 @@ def _check_numbers(config: Any, prefix: str) -> None:
             _check_numbers(value, f"{prefix}{field.name}.")
             continue
         for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, (int, float)) and not (0 <= part and math.isfinite(part)):
+            if isinstance(part, (int, float)) and not (part >= 0 and math.isfinite(part)):
                 raise KeycldError(f"setting {prefix}{field.name} is a finite number of at least 0, not {part}.")

@@ -13,7 +13,7 @@ from keycld.models.config import ModelConfig
 
 ENTRY_POINTS = "keycld.models"
 DEFAULT_PRESET = "fast"
-C = TypeVar("C", bound=type[ModelConfig])
+C = TypeVar("C", bound=ModelConfig)
 
 
 @dataclasses.dataclass
@@ -52,10 +52,10 @@ def register_model(name: str, *, family: str, title: str) -> None:
     _MODELS.setdefault(name, ModelEntry(name, family, title))
 
 
-def register_preset(preset: str, *models: str) -> Callable[[C], C]:
+def register_preset(preset: str, *models: str) -> Callable[[type[C]], type[C]]:
     """Return a class decorator that makes a config class the preset of that name of some registered models."""
 
-    def add(config: C) -> C:
+    def add(config: type[C]) -> type[C]:
         for model in models:
             _MODELS[model].presets[preset] = config(model=model, preset=preset)
         return config

@@ -87,8 +87,8 @@ class Stage:
             trainable = [k for k in chosen if isinstance(k, int) and _is_parameter(leaves[k])]
             if not trainable:
                 raise KeycldError(
-                    f"group '{group.name}' of stage '{self.name}' matches no parameter of this model: correct or remove "
-                    "it."
+                    f"group '{group.name}' of stage '{self.name}' matches no parameter of this model: correct or "
+                    "remove it."
                 )
             for k in trainable:
                 names[k] = group.name if group.rate > 0 else None

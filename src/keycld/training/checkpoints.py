@@ -111,7 +111,9 @@ def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = No
     return fill(saved, like, f"{path} does not fit this model", renamed)
 
 
-def fill(saved: Mapping[str, np.ndarray], like: PyTree, problem: str, renamed: Mapping[str, str] | None = None) -> PyTree:
+def fill(
+    saved: Mapping[str, np.ndarray], like: PyTree, problem: str, renamed: Mapping[str, str] | None = None
+) -> PyTree:
     """Return `like` with arrays by name in place of its own, in the types of its own.
 
     Raises:

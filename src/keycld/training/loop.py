@@ -87,9 +87,7 @@ def train_stages(
         if started is None:
             first, step = first + 1, 0
         else:
-            progress = started._replace(
-                optimiser=state["optimiser"], memory=state["memory"], step=started.step + step
-            )
+            progress = started._replace(optimiser=state["optimiser"], memory=state["memory"], step=started.step + step)
     metrics = Metrics(folder, before[first] + step)
 
     def save(number: int, progress: Progress | None, model: AbstractModel, step: int) -> None:

@@ -99,7 +99,8 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
     half, folder = config.model_config().HALF, (shelf or _SHELF) / config.system
     folder.mkdir(parents=True, exist_ok=True)
     weights = {
-        name: value.astype(np.float16) if name.startswith(half) else value for name, value in named_arrays(model).items()
+        name: value.astype(np.float16) if name.startswith(half) else value
+        for name, value in named_arrays(model).items()
     }
     save_arrays(folder / WEIGHTS, weights)
     # What was typed may name folders of the machine; this trains the same.

@@ -14,7 +14,6 @@ from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld.models import ModelConfig, config_for
 
-
 SCHEMA_VERSION = 2
 
 

@@ -62,7 +62,8 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
-        return Progress(*kept, healthy), {"loss": loss, **terms}
+        parameters, optimiser, memory, number = kept
+        return Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}
 
     @functools.partial(eqx.filter_jit, donate="all-except-first")
     def run(fixed: tuple[Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:

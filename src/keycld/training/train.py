@@ -15,7 +15,7 @@ import numpy as np
 from keycld._errors import KeycldError, check_seed
 from keycld._lock import locked
 from keycld.data import DataSet, open_data, sha256
-from keycld.evaluation import epsilon, frame_errors, predict, valid_prediction_time
+from keycld.evaluation import frame_errors, predict, valid_prediction_time, validation_epsilon
 from keycld.models import ModelConfig, Scene, config_for
 from keycld.models.base import AbstractModel
 from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays, read_position
@@ -23,6 +23,9 @@ from keycld.training.loop import train_stages
 from keycld.training.memory import keep_freed_memory
 from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.trackers import make_tracker
+
+# Trajectories whose predictions are scored when a stage has ended.
+_WATCHED = 100
 
 
 def train(
@@ -66,7 +69,7 @@ def train(
     blank = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
     for stage in stages:
         stage.labels(blank)
-    validate, threshold = validation_score(dataset)
+    threshold = validation_epsilon(dataset)
     steps_per_dispatch = 1 if jax.default_backend() == "cpu" else 25
     run = RunConfig(
         data=str(dataset.folder),
@@ -99,7 +102,7 @@ def train(
                 log_every=log_every,
                 keep=keep,
                 tracker=tracker,
-                validate=validate,
+                validate=validation_score(dataset, threshold),
                 renamed=config.RENAMED,
             )
 
@@ -144,25 +147,15 @@ def make_scene(shape: tuple[int, ...], dataset: DataSet) -> Scene:
     return Scene(height, width, first.input.shape[-1], length, dataset.dt, count)
 
 
-def validation_score(dataset: DataSet) -> tuple[Callable[[AbstractModel], dict[str, float]], float]:
-    """Return a function that gives a model's VPT on the validation trajectories, to watch the training, and ε.
-
-    The threshold ε is the mean validation image's error, as in the paper; test data is never touched.
-    """
-    data = dataset.validation()
-    if data.image is None:
-        raise KeycldError(f"{dataset.path('validation')} holds no '/image', which the validation score needs: add it.")
-    image, threshold = data.image, epsilon(data.image)
+def validation_score(dataset: DataSet, threshold: float) -> Callable[[AbstractModel], dict[str, float]]:
+    """Return a function that gives a model's VPT on validation trajectories, 100 at most, to watch the training."""
 
     def score(model: AbstractModel) -> dict[str, float]:
-        length = image.shape[1]
-        given = image[:, : model.context]
-        parts = predict(model, given, dataset.dt, data.input, length)
+        data = dataset.split("validation", rows=slice(0, _WATCHED))
+        image = np.asarray(data.image)
+        parts = predict(model, image[:, : model.context], dataset.dt, data.input, data.frames)
         errors = np.concatenate([frame_errors(image[part], found.frames) for part, found in parts])
-        vpt = valid_prediction_time(errors, threshold) / length
+        vpt = valid_prediction_time(errors, threshold) / data.frames
         return {"validation_vpt": float(np.mean(vpt)), "validation_vpt_median": float(np.median(vpt))}
 
-    return score, threshold
-
-
-__all__ = ["finished", "load_run", "make_scene", "train", "validation_score"]
+    return score

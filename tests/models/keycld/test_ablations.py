@@ -20,8 +20,6 @@ DISC = Constraints(("disc",), (DistanceToPoint("disc"),))
 DT = jnp.array(0.05)
 
 
-
-
 def configured(model, preset="fast"):
     return config_for(model, preset, constraints=DISC, width=8)
 

@@ -41,7 +41,9 @@ def test_a_third_frame_halves_the_error_of_the_velocity(pendulum, swing):
 def test_shared_constants_are_those_of_the_motion(pendulum, swing):
     """Sightings 2 % too far out, as an observer may see them, do not make the pendulum longer."""
     _, seen = swing
-    own, shared = (FittedInitialState(constants)(pendulum, 1.02 * seen[:2], DT, NOTHING) for constants in (None, jnp.ones(1)))
+    own, shared = (
+        FittedInitialState(constants)(pendulum, 1.02 * seen[:2], DT, NOTHING) for constants in (None, jnp.ones(1))
+    )
     assert float(jnp.linalg.norm(own.coordinates.x)) == pytest.approx(1.02, rel=1e-3)
     assert float(jnp.linalg.norm(shared.coordinates.x)) == pytest.approx(1.0, rel=1e-5)
     np.testing.assert_array_equal(shared.parameters["constants"], [1.0])

@@ -191,7 +191,9 @@ def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey)
         model_a = law.acceleration(jnp.asarray(x[i]), jnp.asarray(velocity[i]), jnp.ones(1))
         defects.append(np.sum((seen - np.asarray(model_a)) ** 2))
     assert float(terms["reconstruction"]) == pytest.approx(reconstruction, rel=1e-4)
-    assert float(terms["dynamics"]) == pytest.approx(np.sum(defects) / 7, rel=2e-2, abs=1e-6)  # over all frames, as released
+    assert float(terms["dynamics"]) == pytest.approx(
+        np.sum(defects) / 7, rel=2e-2, abs=1e-6
+    )  # over all frames, as released
     assert float(total) == pytest.approx(reconstruction + 5e-4 * np.sum(defects) / 7, rel=1e-4)
 
 

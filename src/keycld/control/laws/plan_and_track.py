@@ -100,7 +100,7 @@ class PlanAndTrack(AbstractController):
         check_finite_limit(limit, "a planned motion needs")
         # One step a frame is enough for a plan that feedback follows.
         dynamics = MechanicalDynamics(law, Rattle(substeps=1))
-        inputs = law.inputs or 0
+        inputs = law.inputs
         planner = Planner(
             dynamics,
             jnp.concatenate([goal, 0 * goal]),

@@ -52,4 +52,4 @@ class RandomLaw(AbstractControlLaw):
             KeycldError: there is no limit.
         """
         check_finite_limit(problem.limit, "random inputs need")
-        return RandomInput(problem.law.inputs or 0, problem.actuators, problem.limit, problem.seed)
+        return RandomInput(problem.law.inputs, problem.actuators, problem.limit, problem.seed)

@@ -37,4 +37,4 @@ class ZeroLaw(AbstractControlLaw):
 
     def controller(self, problem: Problem) -> ZeroInput:
         """Return u = 0."""
-        return ZeroInput(problem.law.inputs or 0)
+        return ZeroInput(problem.law.inputs)

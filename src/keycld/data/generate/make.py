@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from keycld import __version__
 from keycld._errors import KeycldError
 from keycld._files import make_folder, write_text
+from keycld._version import __version__
 from keycld.data.describe.finish import finish
 from keycld.data.format.folder import PARTIAL, read_statistics
 from keycld.data.format.reading import read

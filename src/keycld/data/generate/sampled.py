@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from keycld import __version__
 from keycld._errors import KeycldError, unknown
+from keycld._version import __version__
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.generate.parts import Part

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from keycld import __version__
 from keycld._errors import KeycldError
+from keycld._version import __version__
 from keycld.data.describe.finish import finish
 from keycld.data.format.folder import CONSTRAINTS
 from keycld.data.format.trajectories import Trajectories

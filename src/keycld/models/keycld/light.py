@@ -64,7 +64,12 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
     dim = 2 * config.keypoints
     if config.model == "node2":
         law = SecondOrderNetwork(dim, scene.inputs, key=keys[0])
-        return NODE2(estimator, MechanicalDynamics(law, RK4()), renderer, plain_initial_state(config.given))
+        return NODE2(
+            estimator=estimator,
+            dynamics=MechanicalDynamics(law, RK4()),
+            renderer=renderer,
+            initial_state=plain_initial_state(config.given),
+        )
     law = ConstrainedLagrangian(
         mass=(CoupledMasses if config.coupled_masses else PointMasses).ones(config.keypoints),
         potential=AffineMLPPotential(dim, key=keys[0]),
@@ -72,7 +77,13 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         constraint=None if config.model == "keycld-nc" else config.phi,
     )
     dynamics = MechanicalDynamics(law, Rattle(substeps=config.substeps))
-    return KeyCLD(estimator, dynamics, renderer, _initial_state(config), VelocityPrior.unknown())
+    return KeyCLD(
+        estimator=estimator,
+        dynamics=dynamics,
+        renderer=renderer,
+        initial_state=_initial_state(config),
+        velocity_prior=VelocityPrior.unknown(),
+    )
 
 
 def _initial_state(config: "FastConfig") -> AbstractInitialState:

@@ -14,6 +14,7 @@ from keycld.models.keycld.model import AbstractKeypointModel
 from keycld.stages import AbstractLoss, Terms
 from keycld.vision import gaussian_maps, image_grid
 
+
 class VisionLoss(AbstractLoss):
     """Learns to see, from single frames: the picture must pass through the keypoints.
 

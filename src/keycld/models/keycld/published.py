@@ -31,7 +31,6 @@ from keycld.vision import (
     Renderer,
 )
 
-
 M = TypeVar("M", bound=eqx.Module)
 
 
@@ -70,16 +69,16 @@ def build(
 
     if config.model == "node2":
         law = SecondOrderNetwork(2 * count, scene.inputs, 2 * width, key=keys[0])
-        return NODE2(estimator, moved_by(law), renderer, initial)
-    roots = jnp.ones(count) if unit_masses else 0.01 * jax.random.normal(jax.random.fold_in(key, 5), (count,))
+        return NODE2(estimator=estimator, dynamics=moved_by(law), renderer=renderer, initial_state=initial)
+    masses = PointMasses.ones(count) if unit_masses else PointMasses.near_zero(count, key=jax.random.fold_in(key, 5))
     phi = config.phi.distances() if distances else config.phi
     law = ConstrainedLagrangian(
-        mass=PointMasses(roots),
+        mass=masses,
         potential=MLPPotential(2 * count, width, key=keys[0]),
         input_matrix=MLPInputMatrix(2 * count, scene.inputs, width, key=keys[1]) if scene.inputs else None,
         constraint=None if config.model == "keycld-nc" else phi,
     )
-    return KeyCLD(estimator, moved_by(law), renderer, initial)
+    return KeyCLD(estimator=estimator, dynamics=moved_by(law), renderer=renderer, initial_state=initial)
 
 
 def _vision(
