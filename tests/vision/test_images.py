@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.vision import ImageDecoder, ImageEncoder, over_frames
+from keycld.vision import ImageDecoder, ImageEncoder, mean_in_chunks
 
 
 def weights(module):
@@ -49,19 +49,32 @@ def test_untrained_decoder_shows_values_near_the_middle(getkey):
     assert float(jnp.abs(picture - 0.5).max()) < 0.4
 
 
-def test_chunks_give_the_same_values_and_gradients(getkey):
+def test_chunks_give_the_same_mean_and_gradients(getkey):
     """Seven pictures two at a time, the last one alone."""
     decoder = ImageDecoder((8, 8), 4, 4, 8, key=getkey())
     codes, targets = jax.random.normal(getkey(), (7, 4)), jax.random.uniform(getkey(), (7, 8, 8, 3))
 
+    def error(decoder, pair):
+        return jnp.sum((decoder(pair[0]) - pair[1]) ** 2)
+
     def loss(inputs, at_once):
         decoder, codes = inputs
-
-        def one(pair):
-            return jnp.sum((decoder(pair[0]) - pair[1]) ** 2)
-
-        return jnp.sum(over_frames(one, (codes, targets), at_once))
+        return 3.0 * mean_in_chunks(error, decoder, (codes, targets), at_once)
 
     whole, parts = (jax.jit(jax.value_and_grad(lambda i, n=n: loss(i, n)))((decoder, codes)) for n in (7, 2))
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
-        np.testing.assert_allclose(one, other, rtol=2e-4, atol=1e-4)
+        np.testing.assert_allclose(other, one, rtol=2e-4, atol=1e-4)
+
+
+def test_memory_is_that_of_one_chunk(getkey):
+    decoder = ImageDecoder((16, 16), 4, 4, 16, key=getkey())
+    pairs = (jnp.zeros((64, 4)), jnp.zeros((64, 16, 16, 3)))
+
+    def error(decoder, pair):
+        return jnp.sum((decoder(pair[0]) - pair[1]) ** 2)
+
+    def memory(at_once):
+        gradient = jax.jit(jax.grad(lambda d: mean_in_chunks(error, d, pairs, at_once)))
+        return gradient.lower(decoder).compile().memory_analysis().temp_size_in_bytes
+
+    assert memory(8) < memory(64) / 3

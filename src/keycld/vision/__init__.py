@@ -1,6 +1,6 @@
 """Between images and numbers: U-Nets, spatial softmax, Gaussian maps, encoder and decoder. Knows nothing of files."""
 
-from keycld.vision.chunks import over_frames as over_frames
+from keycld.vision.chunks import mean_in_chunks as mean_in_chunks
 from keycld.vision.coordinates import gaussian_maps as gaussian_maps
 from keycld.vision.coordinates import image_grid as image_grid
 from keycld.vision.coordinates import spatial_softmax as spatial_softmax
@@ -34,6 +34,6 @@ __all__ = [
     "Standardise",
     "gaussian_maps",
     "image_grid",
-    "over_frames",
+    "mean_in_chunks",
     "spatial_softmax",
 ]

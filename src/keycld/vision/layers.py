@@ -73,7 +73,7 @@ class GroupNorm(eqx.Module):
         self.groups = groups
 
     def __call__(self, x: Float[Array, "h w channels"]) -> Float[Array, "h w channels"]:
-        """Normalises one example; ε = 1e-6 as in Flax."""
+        """Normalise one example; ε = 1e-6 as in Flax."""
         # Means per channel first: they reduce the large axes once, and the groups are then a few numbers.
         mean = self._pool(jnp.mean(x, (0, 1)))
         square = self._pool(jnp.mean(x * x, (0, 1)))
@@ -96,30 +96,30 @@ class Block(eqx.Module):
         self.norm = GroupNorm(outputs)
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Applies the block to one example."""
+        """Apply the block to one example."""
         return jax.nn.relu(self.norm(self.conv(x)))
 
 
 def max_pool(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """2×2 max-pooling."""
+    """Apply 2×2 max-pooling."""
     h, w, c = x.shape
     return jnp.max(x.reshape(h // 2, 2, w // 2, 2, c), axis=(1, 3))
 
 
 def upsample(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """Nearest-neighbour upsampling by two."""
+    """Upsample by two, nearest neighbour."""
     return jnp.repeat(jnp.repeat(x, 2, axis=0), 2, axis=1)
 
 
 def space_to_depth(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
-    """Moves each `factor × factor` patch of pixels into the channels; nothing is lost."""
+    """Move each `factor × factor` patch of pixels into the channels; nothing is lost."""
     h, w, c = x.shape
     x = x.reshape(h // factor, factor, w // factor, factor, c)
     return x.transpose(0, 2, 1, 3, 4).reshape(h // factor, w // factor, factor * factor * c)
 
 
 def depth_to_space(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
-    """The inverse of `space_to_depth`."""
+    """Undo `space_to_depth`."""
     h, w, c = x.shape
     x = x.reshape(h, w, factor, factor, c // factor**2).transpose(0, 2, 1, 3, 4)
     return x.reshape(h * factor, w * factor, c // factor**2)
