@@ -80,7 +80,7 @@ def test_fully_connected_networks_have_coordinates_but_no_maps(getkey):
     seen = model.observe(jax.random.uniform(getkey(), (16, 16, 3)))
     assert seen.heat_maps is None and seen.keypoints.shape == (1, 2)
     with pytest.raises(KeycldError, match="multiples of 8, not 18 × 16"):
-        fast(width=8).model(dataclasses.replace(SCENE, height=18), getkey(), "fc")
+        configured("fc").build(dataclasses.replace(SCENE, height=18), getkey())
 
 
 @pytest.mark.parametrize("code", range(8))
