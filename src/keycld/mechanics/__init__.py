@@ -9,6 +9,10 @@ from keycld.mechanics.constraints import as_constraint as as_constraint
 from keycld.mechanics.constraints_toml import dump_constraints as dump_constraints
 from keycld.mechanics.constraints_toml import load_constraints as load_constraints
 from keycld.mechanics.constraints_toml import parse_constraints as parse_constraints
+from keycld.mechanics.dense import Linear as Linear
+from keycld.mechanics.dense import SwishEnergy as SwishEnergy
+from keycld.mechanics.dense import SwishMLP as SwishMLP
+from keycld.mechanics.dense import truncated_normal as truncated_normal
 from keycld.mechanics.dynamics import AbstractMechanicalDynamics as AbstractMechanicalDynamics
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
@@ -95,6 +99,7 @@ __all__ = [
     "HamiltonianDynamics",
     "Leapfrog",
     "LegendreLaw",
+    "Linear",
     "MLPFactor",
     "MLPInputMatrix",
     "MLPPotential",
@@ -115,6 +120,8 @@ __all__ = [
     "SeparableHamiltonian",
     "Shake",
     "State",
+    "SwishEnergy",
+    "SwishMLP",
     "adaptive_rollout",
     "as_constraint",
     "dump_constraints",
@@ -129,5 +136,6 @@ __all__ = [
     "rigid_body",
     "solve_positive",
     "to_hamiltonian",
+    "truncated_normal",
     "two_point_masses",
 ]

@@ -141,10 +141,22 @@ def finished(run: str | Path) -> bool:
 
 
 def make_scene(shape: tuple[int, ...], dataset: DataSet) -> Scene:
-    """Return what a model must know of training trajectories of a shape (N, T, H, W, 3)."""
+    """Return what a model must know of training trajectories of a shape (N, T, H, W, 3).
+
+    Raises:
+        KeycldError: the validation trajectories have other inputs or pictures of another size.
+    """
     count, length, height, width = shape[:4]
-    first = dataset.split("train", images=False, rows=slice(0, 1))
-    return Scene(height, width, first.input.shape[-1], length, dataset.dt, count)
+    one = slice(0, 1)
+    inputs = dataset.split("train", images=False, rows=one).input.shape[-1]
+    other = dataset.split("validation", rows=one)
+    size = None if other.image is None else other.image.shape[2:4]
+    if other.input.shape[-1] != inputs or size not in (None, (height, width)):
+        raise KeycldError(
+            f"train.h5 has {inputs} inputs and pictures of {height} × {width}, validation.h5 {other.input.shape[-1]} "
+            f"inputs and pictures of {' × '.join(map(str, size or ('no size',)))}: make both alike."
+        )
+    return Scene(height, width, inputs, length, dataset.dt, count)
 
 
 def validation_score(dataset: DataSet, threshold: float) -> Callable[[AbstractModel], dict[str, float]]:

@@ -1,10 +1,13 @@
-"""Between images and coordinates: U-Nets, spatial softmax, Gaussian maps. Knows nothing of files or training."""
+"""Between images and numbers: U-Nets, spatial softmax, Gaussian maps, encoder and decoder. Knows nothing of files."""
 
+from keycld.vision.chunks import mean_in_chunks as mean_in_chunks
 from keycld.vision.coordinates import gaussian_maps as gaussian_maps
 from keycld.vision.coordinates import image_grid as image_grid
 from keycld.vision.coordinates import spatial_softmax as spatial_softmax
 from keycld.vision.fully_connected import DenseEstimator as DenseEstimator
 from keycld.vision.fully_connected import DenseRenderer as DenseRenderer
+from keycld.vision.image_decoder import ImageDecoder as ImageDecoder
+from keycld.vision.image_encoder import ImageEncoder as ImageEncoder
 from keycld.vision.keypoint_estimator import AbstractEstimator as AbstractEstimator
 from keycld.vision.keypoint_estimator import KeypointEstimator as KeypointEstimator
 from keycld.vision.keypoint_estimator import Observation as Observation
@@ -21,6 +24,8 @@ __all__ = [
     "AbstractUNet",
     "DenseEstimator",
     "DenseRenderer",
+    "ImageDecoder",
+    "ImageEncoder",
     "KeypointEstimator",
     "LightUNet",
     "Observation",
@@ -29,5 +34,6 @@ __all__ = [
     "Standardise",
     "gaussian_maps",
     "image_grid",
+    "mean_in_chunks",
     "spatial_softmax",
 ]

@@ -135,7 +135,8 @@ def halvings_to_four(size: tuple[int, int], stride: int) -> tuple[int, tuple[int
         halvings += 1
     if halvings == 0 or any(side % (stride * 2**halvings) for side in size):
         raise KeycldError(
-            f"fully connected networks take pictures whose sides are multiples of {stride * 2 ** max(halvings, 1)} "
-            f"pixels and longer than {_COARSEST * stride}, not {size[0]}×{size[1]}: resize them."
+            f"networks that halve a picture down to {_COARSEST} cells take sides that are multiples of "
+            f"{stride * 2 ** max(halvings, 1)} pixels and longer than {_COARSEST * stride}, not {size[0]}×{size[1]}: "
+            "resize the pictures."
         )
     return halvings, (rows // 2**halvings, columns // 2**halvings)

@@ -4,32 +4,58 @@ They compute what the usual layers compute; where XLA's own form is slow on a CP
 nearest-neighbour resize) an equal, faster form is used.
 """
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+_FLAX = jax.nn.initializers.lecun_normal()
+
 
 class Conv(eqx.Module):
-    """A convolution with square kernel and zero padding that keeps the size.
+    """A convolution with square kernel and zero padding that keeps the size, or with a stride divides it.
 
-    Kernels start as N(0, 1/fan_in) truncated at two deviations, biases at zero (Flax's default, which the
-    paper's networks use).
+    Biases are zero at first. Kernels are by default from N(0, 1/fan_in) truncated at two deviations and scaled to that
+    variance again (Flax's default, which the networks of KeyCLD use).
     """
 
     kernel: Float[Array, "size size inputs outputs"]
     bias: Float[Array, " outputs"]
+    stride: int = eqx.field(static=True)
 
-    def __init__(self, inputs: int, outputs: int, size: int = 3, *, key: PRNGKeyArray):
-        # Drawn as a matrix, which compiles three times faster; the numbers are the same.
-        flat = jax.nn.initializers.lecun_normal()(key, (size * size * inputs, outputs))
+    def __init__(
+        self,
+        inputs: int,
+        outputs: int,
+        size: int = 3,
+        stride: int = 1,
+        initialise: Callable[[PRNGKeyArray, tuple[int, int]], Array] = _FLAX,
+        *,
+        key: PRNGKeyArray,
+    ):
+        """Sample the kernel.
+
+        Args:
+            inputs: channels.
+            outputs: channels.
+            size: side of the kernel, pixels.
+            stride: pixels between outputs.
+            initialise: gives a kernel as a matrix [fan_in, outputs].
+            key: for it.
+        """
+        # A matrix compiles three times faster than a kernel; the numbers are the same.
+        flat = initialise(key, (size * size * inputs, outputs))
         self.kernel = flat.reshape(size, size, inputs, outputs)
         self.bias = jnp.zeros(outputs)
+        self.stride = stride
 
-    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Convolves one example."""
+    def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h2 w2 outputs"]:
+        """Convolve one example."""
+        strides = (self.stride, self.stride)
         y = jax.lax.conv_general_dilated(
-            x[None], self.kernel.astype(x.dtype), (1, 1), "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
+            x[None], self.kernel.astype(x.dtype), strides, "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
         )[0]
         return y + self.bias.astype(x.dtype)[None, None, :]
 
@@ -47,7 +73,7 @@ class GroupNorm(eqx.Module):
         self.groups = groups
 
     def __call__(self, x: Float[Array, "h w channels"]) -> Float[Array, "h w channels"]:
-        """Normalises one example; ε = 1e-6 as in Flax."""
+        """Normalise one example; ε = 1e-6 as in Flax."""
         # Means per channel first: they reduce the large axes once, and the groups are then a few numbers.
         mean = self._pool(jnp.mean(x, (0, 1)))
         square = self._pool(jnp.mean(x * x, (0, 1)))
@@ -70,30 +96,30 @@ class Block(eqx.Module):
         self.norm = GroupNorm(outputs)
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
-        """Applies the block to one example."""
+        """Apply the block to one example."""
         return jax.nn.relu(self.norm(self.conv(x)))
 
 
 def max_pool(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """2×2 max-pooling."""
+    """Apply 2×2 max-pooling."""
     h, w, c = x.shape
     return jnp.max(x.reshape(h // 2, 2, w // 2, 2, c), axis=(1, 3))
 
 
 def upsample(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
-    """Nearest-neighbour upsampling by two."""
+    """Upsample by two, nearest neighbour."""
     return jnp.repeat(jnp.repeat(x, 2, axis=0), 2, axis=1)
 
 
 def space_to_depth(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
-    """Moves each `factor × factor` patch of pixels into the channels; nothing is lost."""
+    """Move each `factor × factor` patch of pixels into the channels; nothing is lost."""
     h, w, c = x.shape
     x = x.reshape(h // factor, factor, w // factor, factor, c)
     return x.transpose(0, 2, 1, 3, 4).reshape(h // factor, w // factor, factor * factor * c)
 
 
 def depth_to_space(x: Float[Array, "h w c"], factor: int) -> Float[Array, "h2 w2 c2"]:
-    """The inverse of `space_to_depth`."""
+    """Undo `space_to_depth`."""
     h, w, c = x.shape
     x = x.reshape(h, w, factor, factor, c // factor**2).transpose(0, 2, 1, 3, 4)
     return x.reshape(h * factor, w * factor, c // factor**2)

@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keycld._errors import KeycldError
 from keycld.mechanics import (
     AbstractLaw,
     AbstractMechanicalDynamics,
@@ -16,6 +15,7 @@ from keycld.mechanics import (
     State,
 )
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
+from keycld.models.checks import check_inputs, check_size
 from keycld.models.keycld.initial_state import AbstractInitialState
 from keycld.models.keycld.velocity_prior import VelocityPrior
 from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
@@ -73,12 +73,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         Raises:
             KeycldError: the frame has another size than the model renders.
         """
-        if frame.shape != (*self.renderer.size, 3):
-            height, width = self.renderer.size
-            raise KeycldError(
-                f"this model sees frames of {height} × {width} pixels with three colours, not of shape "
-                f"{list(frame.shape)}: give pictures of that size."
-            )
+        check_size(frame, self.renderer.size)
         return self.estimator(frame)
 
     def keypoints(self, state: State) -> Float[Array, "K 2"]:
@@ -100,11 +95,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         Raises:
             KeycldError: frames of another size, or another number of inputs, than the model knows.
         """
-        if u.shape[-1] != self.inputs:
-            raise KeycldError(
-                f"this model has {self.inputs} inputs, not {u.shape[-1]}: give data of the system that it was trained "
-                "on."
-            )
+        check_inputs(u, self.inputs)
         x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
         state = self.initial_state(self.dynamics, x, dt, u)
         if self.velocity_prior is None:

@@ -1,0 +1,88 @@
+"""Dense layers as in Haiku, of which "Which priors matter?" builds its energies, fields and recurrent cells."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keycld._errors import KeycldError
+
+
+def truncated_normal(key: PRNGKeyArray, shape: tuple[int, int]) -> Float[Array, "inputs outputs"]:
+    """Sample a kernel from N(0, 1/inputs) cut at two deviations, which leaves 0.88 of the deviation.
+
+    Haiku's default for dense layers and convolutions. `jax.nn.initializers.lecun_normal` makes up for the cut.
+    """
+    return jax.random.truncated_normal(key, -2.0, 2.0, shape) / jnp.sqrt(shape[0])
+
+
+class Linear(eqx.Module):
+    """y = W x + b; at first W by `truncated_normal`, b = 0.
+
+    Attributes:
+        kernel: Wᵀ.
+        bias: b.
+    """
+
+    kernel: Float[Array, "inputs outputs"]
+    bias: Float[Array, "outputs"]
+
+    def __init__(self, inputs: int, outputs: int, *, key: PRNGKeyArray):
+        if min(inputs, outputs) < 1:
+            raise KeycldError(f"a dense layer has at least one input and one output, not {inputs} and {outputs}.")
+        self.kernel = truncated_normal(key, (inputs, outputs))
+        self.bias = jnp.zeros(outputs)
+
+    def __call__(self, x: Float[Array, "inputs"]) -> Float[Array, "outputs"]:
+        """Return W x + b."""
+        return jnp.matmul(x, self.kernel, precision="highest") + self.bias
+
+
+class SwishMLP(eqx.Module):
+    """Dense layers with swish, x · sigmoid(x), between them and nothing after the last.
+
+    Swish is smooth, so the gradient of an energy made of it is a smooth force. The networks of "Which priors matter?"
+    have four hidden layers of 250 units.
+
+    Attributes:
+        layers: one more than there are hidden layers.
+    """
+
+    layers: tuple[Linear, ...]
+
+    def __init__(self, inputs: int, outputs: int, hidden: int = 250, depth: int = 4, *, key: PRNGKeyArray):
+        """Build the layers.
+
+        Args:
+            inputs: size of x.
+            outputs: size of the last layer.
+            hidden: units of each hidden layer.
+            depth: how many hidden layers.
+            key: of the random kernels.
+        """
+        sizes = [inputs, *[hidden] * depth, outputs]
+        keys = jax.random.split(key, depth + 1)
+        self.layers = tuple(Linear(a, b, key=k) for a, b, k in zip(sizes[:-1], sizes[1:], keys, strict=True))
+
+    def __call__(self, x: Float[Array, "inputs"]) -> Float[Array, "outputs"]:
+        """Return the values of the last layer."""
+        for layer in self.layers[:-1]:
+            x = jax.nn.swish(layer(x))
+        return self.layers[-1](x)
+
+
+class SwishEnergy(eqx.Module):
+    """A scalar energy by a `SwishMLP`, such as T(p) or V(q); only differences of it matter.
+
+    Attributes:
+        network: with one output.
+    """
+
+    network: SwishMLP
+
+    def __init__(self, dim: int, hidden: int = 250, depth: int = 4, *, key: PRNGKeyArray):
+        self.network = SwishMLP(dim, 1, hidden, depth, key=key)
+
+    def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
+        """Return the energy."""
+        return self.network(x)[0]

@@ -1,0 +1,184 @@
+"""What training a latent model minimises: the negative evidence lower bound, or the same as a constrained problem.
+
+Likelihood: every value of a picture is normal with variance 1/2 around the rendered one, so −log p = (x − μ)² + ½ ln π.
+Divergence: KL(q(z|x) ‖ N(0, 1)) = Σ ½ (μ² + σ² − 1 − ln σ²). S is the number of values, T H W 3, of a window's targets.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import optax
+from jaxtyping import Array, Float, Int, PRNGKeyArray
+
+from keycld.data import Clip
+from keycld.models.latent.model import AbstractLatentModel, Gaussian
+from keycld.stages import AbstractLoss, AbstractStatefulLoss, Terms
+from keycld.vision import ImageDecoder, mean_in_chunks
+
+HALF_LOG_PI = 0.5 * math.log(math.pi)
+
+
+class Reconstruction(NamedTuple):
+    """How well windows are rendered from their latent vectors.
+
+    Attributes:
+        squared_error: mean of (x − μ)² over all values of all target frames.
+        kl: divergence of the posterior from the prior, nats, mean over windows.
+        frames: T, target frames of a window.
+        values: S, values of a window's target frames.
+        statistics: of the posterior, for the log.
+    """
+
+    squared_error: Float[Array, ""]
+    kl: Float[Array, ""]
+    frames: int
+    values: int
+    statistics: Terms
+
+
+class ELBOLoss(AbstractLoss):
+    """−log p(x|z) / S + β KL / S, mean over windows (eq. (3), and metrics of the released code).
+
+    Attributes:
+        beta: β. The benchmark tries 0.001, 0.1, 1 and 2.
+        per_frame: β KL T / S instead: the likelihood counts as a mean over frames, as eq. (3) prints it.
+        both_ways: see `reconstruct`.
+        at_once: see `reconstruct`.
+    """
+
+    beta: float
+    per_frame: bool
+    both_ways: bool
+    at_once: int
+
+    def __call__(
+        self, model: AbstractLatentModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Evaluate the loss on windows of consecutive frames."""
+        found = reconstruct(model, clips, key, self.both_ways, self.at_once)
+        weight = self.beta * (found.frames if self.per_frame else 1) / found.values
+        return _likelihood(found) + weight * found.kl, _terms(found)
+
+
+class GECOLoss(AbstractStatefulLoss):
+    """λ C + KL / S with the constraint C = mean squared error − κ; Adam raises λ while C > 0, and lowers it below.
+
+    λ = softplus(v) with λ = 1 at first. Rezende and Viola 2018, "Taming VAEs"; as in HGN, without
+    its moving average.
+
+    Attributes:
+        kappa: κ, the error that is asked for.
+        rate: learning rate of v.
+        both_ways: see `reconstruct`.
+        at_once: see `reconstruct`.
+    """
+
+    kappa: float
+    rate: float
+    both_ways: bool
+    at_once: int
+
+    def initial(self) -> Any:
+        """Return v = ln(e − 1) and the state of its Adam."""
+        raw = jnp.log(jnp.expm1(jnp.ones(())))
+        return {"raw": raw, "adam": optax.adam(self.rate).init(raw)}
+
+    def __call__(
+        self, model: AbstractLatentModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""], memory: Any
+    ) -> tuple[Float[Array, ""], Terms, Any]:
+        """Evaluate the loss on windows of consecutive frames, and move λ."""
+        found = reconstruct(model, clips, key, self.both_ways, self.at_once)
+        raw, constraint = memory["raw"], found.squared_error - self.kappa
+        multiplier = jax.nn.softplus(raw)
+        # Ascent: Adam descends along the negative gradient of λ C.
+        slope = -jax.lax.stop_gradient(constraint) * jax.nn.sigmoid(raw)
+        update, adam = optax.adam(self.rate).update(slope, memory["adam"])
+        loss = multiplier * constraint + found.kl / found.values
+        terms = _terms(found) | {"constraint": constraint, "multiplier": multiplier}
+        return loss, terms, {"raw": raw + update, "adam": adam}
+
+
+def reconstruct(
+    model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, both_ways: bool, at_once: int
+) -> Reconstruction:
+    """Sample a latent vector for each window and render the window from it.
+
+    Args:
+        model: any model of the family.
+        clips: windows of consecutive frames, longer than what the model is given.
+        key: of the samples.
+        both_ways: False: the encoder sees the first frames of each window, and the frames from the anchor on are
+            targets. True: for the second half of the batch it sees the last frames, in the order of time, and motions
+            run backward from there; all frames are targets.
+        at_once: frames that are rendered in parallel.
+    """
+    assert clips.frames is not None
+    batch, length, height, width, _ = clips.frames.shape
+    halves = [(slice(0, batch // 2), 0), (slice(batch // 2, batch), length - model.given)]
+    posteriors, states = [], []
+    for part, first in halves if both_ways else [(slice(0, batch), 0)]:
+        posterior = jax.vmap(model.posterior)(clips.frames[part, first : first + model.given])
+        noise = jax.random.normal(jax.random.fold_in(key, first), posterior.mean.shape)
+        latent = posterior.mean + posterior.deviation * noise
+
+        def motion(latent: Array, u: Array, dt: Array, at: int = first + model.anchored) -> Array:
+            states = model.unroll(model.state(latent), at, dt, u, length)
+            return jax.vmap(model.visible)(states)
+
+        states.append(jax.vmap(motion)(latent, clips.u[part], clips.dt[part]))
+        posteriors.append(posterior)
+    earliest = 0 if both_ways else model.anchored
+    visible = jnp.concatenate(states)[:, earliest:]
+    targets = clips.frames[:, earliest:]
+
+    def squared_error(decoder: ImageDecoder, pair: tuple[Array, Array]) -> Array:
+        shown, frame = pair
+        return jnp.mean((decoder(shown) - frame) ** 2)
+
+    flat = (visible.reshape(-1, visible.shape[-1]), targets.reshape(-1, height, width, 3))
+    posterior = Gaussian(*(jnp.concatenate(part) for part in zip(*posteriors, strict=True)))
+    return Reconstruction(
+        squared_error=mean_in_chunks(squared_error, model.decoder, flat, at_once),
+        kl=jnp.mean(jax.vmap(divergence)(posterior)),
+        frames=length - earliest,
+        values=(length - earliest) * height * width * 3,
+        statistics=posterior_statistics(posterior),
+    )
+
+
+def divergence(posterior: Gaussian) -> Float[Array, ""]:
+    """Return KL(N(μ, σ²) ‖ N(0, 1)), summed over the latent vector."""
+    mean, deviation = posterior
+    return jnp.sum(0.5 * (mean**2 + deviation**2 - 1.0) - jnp.log(deviation))
+
+
+def posterior_statistics(posterior: Gaussian) -> Terms:
+    """Return what a batch of posteriors says about the use of the latent vector.
+
+    A number of z that says nothing of the frames has the prior's mean 0 and deviation 1.
+
+    - `posterior_deviation`: σ, mean over batch and latent vector.
+    - `posterior_spread`: deviation of μ over the batch, mean over the latent vector.
+    - `informative`: how many numbers of z have a mean variance below 1/2.
+    """
+    mean, deviation = posterior
+    return {
+        "posterior_deviation": jnp.mean(deviation),
+        "posterior_spread": jnp.mean(jnp.std(mean, axis=0)),
+        "informative": jnp.sum(jnp.mean(deviation**2, axis=0) < 0.5).astype(jnp.float32),
+    }
+
+
+def _likelihood(found: Reconstruction) -> Array:
+    """Return −log p(x|z) / S."""
+    return found.squared_error + HALF_LOG_PI
+
+
+def _terms(found: Reconstruction) -> Terms:
+    return {
+        "log_likelihood": -_likelihood(found),
+        "squared_error": found.squared_error,
+        "kl": found.kl,
+    } | jax.lax.stop_gradient(found.statistics)

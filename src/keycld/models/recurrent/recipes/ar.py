@@ -1,0 +1,28 @@
+"""AR: its presets."""
+
+import dataclasses
+
+from keycld.models.recurrent.config import RecurrentConfig
+from keycld.models.registry import register_model, register_preset
+
+register_model("ar", family="recurrent", title="an autoregressive recurrent network, without physics")
+
+
+@register_preset("released", "ar")
+@dataclasses.dataclass(frozen=True)
+class ReleasedAR(RecurrentConfig):
+    """AR as the released code of "Which priors matter?" configures it: five recurrent cells.
+
+    128 windows of 60 frames a step; 500,000 steps need a GPU.
+    """
+
+
+@register_preset("paper", "ar")
+@dataclasses.dataclass(frozen=True)
+class PaperAR(RecurrentConfig):
+    """AR as the text of "Which priors matter?" has it: four recurrent cells and another learning rate."""
+
+    layers: int = 4
+    """Recurrent cells, one after the other."""
+    rate: float = 5e-4
+    """Learning rate of Adam."""

@@ -1,0 +1,60 @@
+"""From numbers without places to an image: the decoder of "Which priors matter?"."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keycld.mechanics import Linear, truncated_normal
+from keycld.vision.fully_connected import halvings_to_four
+from keycld.vision.layers import Conv, upsample
+
+
+class ImageDecoder(eqx.Module):
+    """A dense layer to 4×4 cells, then upsampling and convolutions.
+
+    Two learned constant maps stand in front of the cells' channels. One block doubles the picture: nearest-neighbour
+    upsampling and two 3×3 convolutions, of which the last block has a third one, to the three colours. Three blocks at
+    32×32 pixels, four at 64×64. Leaky ReLU (slope 0.01) after each convolution but the last, then a logistic function.
+
+    Attributes:
+        cells: the dense layer.
+        constants: the learned maps, one at first.
+        convolutions: in the order of application.
+        coarse: rows and columns of the cells.
+    """
+
+    cells: Linear
+    constants: Float[Array, "rows columns 2"]
+    convolutions: tuple[Conv, ...]
+    coarse: tuple[int, int] = eqx.field(static=True)
+
+    def __init__(self, size: tuple[int, int], inputs: int, features: int, channels: int = 64, *, key: PRNGKeyArray):
+        """Build the layers.
+
+        Args:
+            size: height and width of the pictures, pixels.
+            inputs: numbers that become an image.
+            features: channels of the cells; 16 in the paper.
+            channels: of the convolutions.
+            key: of the random kernels.
+
+        Raises:
+            KeycldError: for a size that cannot be halved down to 4 cells.
+        """
+        halvings, self.coarse = halvings_to_four(size, 1)
+        first, *keys = jax.random.split(key, 2 * halvings + 2)
+        rows, columns = self.coarse
+        self.cells = Linear(inputs, rows * columns * features, key=first)
+        self.constants = jnp.ones((rows, columns, 2))
+        widths = [features + 2, *[channels] * (2 * halvings), 3]
+        self.convolutions = tuple(
+            Conv(a, b, 3, 1, truncated_normal, key=k) for a, b, k in zip(widths[:-1], widths[1:], keys, strict=True)
+        )
+
+    def __call__(self, x: Float[Array, "inputs"]) -> Float[Array, "H W 3"]:
+        """Render one picture with values in (0, 1)."""
+        y = jnp.concatenate([self.constants, self.cells(x).reshape(*self.coarse, -1)], axis=-1)
+        for k, convolution in enumerate(self.convolutions[:-1]):
+            y = jax.nn.leaky_relu(convolution(upsample(y) if k % 2 == 0 else y))
+        return jax.nn.sigmoid(self.convolutions[-1](y))

@@ -1,0 +1,185 @@
+"""Losses of latent models against formulas written out in NumPy."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld.data import Clip, resident
+from keycld.models import Scene, config_for
+from keycld.models.latent.losses import ELBOLoss, GECOLoss, divergence, posterior_statistics, reconstruct
+from keycld.models.latent.model import Gaussian
+from keycld.training.step import begin, make_step
+from scenes import disc_pendulum
+
+TINY = {"channels": 4, "hidden": 8, "depth": 1, "latent": 4}
+LENGTH = 9
+
+
+def built(key, **settings):
+    return config_for("hgn", **TINY, **settings).build(Scene(16, 16, 0, LENGTH, 0.05, 3), key)
+
+
+@pytest.fixture
+def clips(getkey):
+    """Four windows of nine frames."""
+    return Clip(
+        frames=jax.random.uniform(getkey(), (4, LENGTH, 16, 16, 3)),
+        cached=None,
+        index=jnp.broadcast_to(jnp.arange(LENGTH)[None], (4, LENGTH)),
+        u=jnp.zeros((4, 0)),
+        dt=jnp.full(4, 0.05),
+        span=LENGTH,
+    )
+
+
+def certain(model):
+    """The same model with posterior deviations of e⁻²⁰: a sample is the mean."""
+    bias = model.encoder.out.bias.at[4:].set(-20.0)
+    model = eqx.tree_at(lambda m: m.encoder.out.bias, model, bias)
+    return eqx.tree_at(lambda m: m.encoder.out.kernel, model, model.encoder.out.kernel.at[:, 4:].set(0.0))
+
+
+def test_divergence_is_that_of_two_normal_distributions():
+    """∫ q ln(q / p) on a fine grid, for each number of z."""
+    mean, deviation = np.array([0.0, 1.5, -0.3]), np.array([1.0, 0.2, 1.7])
+    z = np.linspace(-15, 15, 200_001)
+    expected = 0.0
+    for m, s in zip(mean, deviation, strict=True):
+        log_q, log_p = -((z - m) ** 2) / (2 * s**2) - np.log(s), -(z**2) / 2
+        q = np.exp(log_q) / np.sqrt(2 * np.pi)
+        expected += np.sum(q * (log_q - log_p)) * (z[1] - z[0])
+    found = divergence(Gaussian(jnp.asarray(mean, jnp.float32), jnp.asarray(deviation, jnp.float32)))
+    assert float(found) == pytest.approx(expected, rel=1e-4)
+
+
+def test_training_samples_the_latent_vector(getkey, clips):
+    """Three keys, three errors; one error where the posterior is as narrow as a point."""
+    model, keys = built(getkey()), jax.random.split(getkey(), 3)
+
+    def errors(model):
+        return [float(reconstruct(model, clips, key, False, 100).squared_error) for key in keys]
+
+    assert len(set(errors(model))) == 3
+    np.testing.assert_allclose(errors(certain(model)), errors(certain(model))[0], rtol=1e-6)
+
+
+def test_forward_targets_begin_with_the_last_given_frame(getkey, clips):
+    model = certain(built(getkey()))
+    found = reconstruct(model, clips, getkey(), False, 100)
+    assert found.frames == LENGTH - 4 and found.values == found.frames * 16 * 16 * 3
+    predicted = jax.vmap(lambda f: model.predict(f, jnp.array(0.05), jnp.zeros(0), LENGTH).frames)(clips.frames[:, :5])
+    expected = np.mean((np.asarray(predicted) - np.asarray(clips.frames))[:, 4:] ** 2)
+    assert float(found.squared_error) == pytest.approx(expected, rel=1e-5)
+
+
+def test_both_ways_half_of_the_windows_are_seen_from_their_end(getkey, clips):
+    """The second half: the encoder sees the last five frames in the order of time, and the state is at their middle."""
+    model = certain(built(getkey(), regime="forward_backward"))
+    found = reconstruct(model, clips, getkey(), True, 100)
+    assert found.frames == LENGTH
+    errors = []
+    for k, frames in enumerate(clips.frames):
+        first = 0 if k < 2 else LENGTH - 5
+        state = model.infer(frames[first : first + 5], jnp.array(0.05), jnp.zeros(0))
+        states = model.unroll(state, first + 2, jnp.array(0.05), jnp.zeros(0), LENGTH)
+        errors.append(np.mean((np.asarray(jax.vmap(model.render)(states)) - np.asarray(frames)) ** 2))
+    assert float(found.squared_error) == pytest.approx(np.mean(errors), rel=1e-5)
+
+
+@pytest.mark.parametrize("per_frame", [False, True])
+def test_elbo_is_the_likelihood_and_the_weighed_divergence(getkey, clips, per_frame):
+    """Summed −ln N(x; μ, ½) and β KL, over the number S of values; with eq. (3)'s weight, T times the latter."""
+    model = certain(built(getkey()))
+    key = getkey()
+    loss, terms = ELBOLoss(0.7, per_frame, False, 100)(model, clips, key=key, step=jnp.array(0))
+    targets = np.asarray(clips.frames, np.float64)[:, 4:]
+    predicted = jax.vmap(lambda f: model.predict(f, jnp.array(0.05), jnp.zeros(0), LENGTH).frames)(clips.frames[:, :5])
+    error = targets - np.asarray(predicted, np.float64)[:, 4:]
+    density = np.exp(-(error**2) / (2 * 0.5)) / np.sqrt(2 * np.pi * 0.5)
+    likelihood = np.sum(np.log(density), axis=(1, 2, 3, 4))
+    mean = np.asarray(jax.vmap(model.posterior)(clips.frames[:, :5]).mean, np.float64)
+    kl = np.sum(0.5 * (mean**2 + np.exp(-40) - 1) + 20, axis=1)
+    values = 5 * 16 * 16 * 3
+    weight = 0.7 * (5 if per_frame else 1)
+    assert float(loss) == pytest.approx(np.mean(-likelihood + weight * kl) / values, rel=1e-5)
+    assert float(terms["log_likelihood"]) == pytest.approx(np.mean(likelihood) / values, rel=1e-5)
+    assert float(terms["kl"]) == pytest.approx(np.mean(kl), rel=1e-5)
+
+
+def test_statistics_tell_which_numbers_of_the_latent_vector_are_used():
+    mean = jnp.array([[2.0, 0.0], [-2.0, 0.0]])
+    found = posterior_statistics(Gaussian(mean, jnp.array([[0.1, 1.0], [0.1, 1.0]])))
+    assert {name: float(value) for name, value in found.items()} == pytest.approx(
+        {"posterior_deviation": 0.55, "posterior_spread": 1.0, "informative": 1.0}
+    )
+
+
+def test_geco_raises_the_multiplier_while_the_error_is_too_large(getkey, clips):
+    model, key, rate = built(getkey()), getkey(), 0.01
+    ends = {}
+    for kappa in (1e-3, 1.0):
+        loss = GECOLoss(kappa, rate, False, 100)
+        memory = loss.initial()
+        assert float(jax.nn.softplus(memory["raw"])) == pytest.approx(1.0)
+        total, terms, memory = loss(model, clips, key=key, step=jnp.array(0), memory=memory)
+        values = 5 * 16 * 16 * 3
+        expected = float(terms["squared_error"]) - kappa + float(terms["kl"]) / values
+        assert float(total) == pytest.approx(expected, rel=1e-4)
+        assert float(terms["multiplier"]) == pytest.approx(1.0)
+        ends[kappa] = float(memory["raw"])
+    begin_at = float(np.log(np.e - 1))
+    assert ends[1e-3] == pytest.approx(begin_at + rate, abs=1e-5)  # the first step of Adam has the size of its rate
+    assert ends[1.0] == pytest.approx(begin_at - rate, abs=1e-5)
+
+
+def test_geco_weighs_the_error_by_the_multiplier(getkey, clips):
+    model, key = built(getkey()), getkey()
+    loss = GECOLoss(1e-3, 0.01, False, 100)
+    memory = loss.initial() | {"raw": jnp.array(3.0)}
+    total, terms, _ = loss(model, clips, key=key, step=jnp.array(0), memory=memory)
+    constraint, kl = float(terms["squared_error"]) - 1e-3, float(terms["kl"]) / (5 * 16 * 16 * 3)
+    assert float(total) == pytest.approx(np.log1p(np.exp(3.0)) * constraint + kl, rel=1e-4)
+
+
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_frames_in_chunks_give_the_same_loss_and_gradient(getkey, clips, both_ways):
+    """Rendered three at a time, which does not divide their number, and all at once."""
+    model, key = built(getkey(), regime="forward_backward" if both_ways else "forward"), getkey()
+
+    def loss(model, at_once):
+        return ELBOLoss(1.0, False, both_ways, at_once)(model, clips, key=key, step=jnp.array(0))[0]
+
+    whole, parts = (eqx.filter_jit(eqx.filter_value_and_grad(lambda m, n=n: loss(m, n)))(model) for n in (100, 3))
+    for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-3, atol=1e-6)
+
+
+def test_a_step_of_the_published_size_fits_into_memory():
+    """128 windows of 64 frames: the layers of all rendered frames together would take 15 GB, of a chunk 2 GB."""
+    config, scene = config_for("hgn"), Scene(32, 32, 0, 256, 0.05, 100)
+    model = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
+    (stage,) = config.stages(scene)
+    frames = jax.ShapeDtypeStruct((128, 64, 32, 32, 3), jnp.float32)
+
+    def loss(model, frames):
+        index = jnp.broadcast_to(jnp.arange(64)[None], (128, 64))
+        windows = Clip(frames, None, index, jnp.zeros((128, 0)), jnp.full(128, 0.05), 64)
+        return stage.loss(model, windows, key=jax.random.key(0), step=jnp.array(0))[0]
+
+    compiled = jax.jit(jax.grad(loss)).lower(model, frames).compile()
+    assert compiled.memory_analysis().temp_size_in_bytes < 2.5e9
+
+
+def test_a_few_steps_of_training_lower_the_loss(getkey):
+    data = resident(disc_pendulum(4, 12, seed=0))
+    data = eqx.tree_at(lambda d: d.u, data, data.u[:, :0])
+    config = config_for("hgn", **TINY, batch=4, steps=40, rate=3e-3)
+    scene = Scene(16, 16, 0, 12, 0.05, 4)
+    (stage,) = config.stages(scene)
+    model = config.build(scene, getkey())
+    progress, rest = begin(stage, model)
+    _, terms = make_step(stage, 0, 0, model, 40)((rest, data), progress)
+    losses = np.asarray(terms["squared_error"])
+    assert losses[-5:].mean() < 0.5 * losses[:5].mean()
