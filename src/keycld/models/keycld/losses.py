@@ -32,8 +32,8 @@ class VisionLoss(AbstractLoss):
         constraint: w_i at t = 0 and at t = 1, linear between, for constraints on one keypoint. They tell the keypoints
             apart, so they act from the first step.
         coupling: w_i for t ≤ 0.1, for constraints on several keypoints; above zero. It grows by equal factors until
-            t = 0.4, to the last value of `constraint`. Keypoints that move as one satisfy such constraints; with a large
-            weight from the first step they would never find their parts (`results/recipe.md`).
+            t = 0.4, to the last value of `constraint`. Keypoints that move as one satisfy such constraints; a large
+            weight from the first step would keep them from finding their parts (`results/recipe.md`).
         joints: while t is less, constraints on several keypoints move only joints, not ends (`_ends`). A joint has one
             correct position. Before it is found, the end could make the distance constant as well, by errors of up to
             a pixel to either side of its part, and no dynamics moves like that.
@@ -96,14 +96,7 @@ class TrackLoss(AbstractLoss):
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluate the loss.
-
-        Args:
-            model: with an initial state and dynamics.
-            clips: groups of cached keypoints, `[B, F, 2K]`.
-            key: not used.
-            step: not used.
-        """
+        """Evaluate the loss on groups of cached keypoints, `[B, F, 2K]`; `key` and `step` are not used."""
         assert clips.cached is not None
         rolled = _rolled_out(model, clips.cached, clips)
         track = _distance(rolled, clips.cached, self.scale)
