@@ -108,33 +108,18 @@ def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = No
         saved = load_file(path)
     except (OSError, SafetensorError, ValueError) as error:
         raise KeycldError(f"{path} is missing or damaged ({error}): train again into a new --out.") from error
-    return fill(saved, like, f"{path} does not fit this model", renamed)
-
-
-def fill(
-    saved: Mapping[str, np.ndarray], like: PyTree, problem: str, renamed: Mapping[str, str] | None = None
-) -> PyTree:
-    """Return `like` with the given arrays in place of its own, converted to the types of its own.
-
-    Args:
-        saved: arrays by name.
-        like: as in `load_arrays`.
-        problem: first words of the error.
-        renamed: as in `load_arrays`.
-
-    Raises:
-        KeycldError: an array is missing, belongs to nothing in `like`, or has another shape.
-    """
     arrays = {_current(name, renamed or {}): value for name, value in saved.items()}
     wanted = {name: leaf for name, leaf in _named(like) if _is_array(leaf)}
     for name in {**wanted, **arrays}:
         if name not in arrays or name not in wanted:
             what = "is missing" if name not in arrays else "belongs to nothing"
-            raise KeycldError(f"{problem}: '{name}' {what}; use the keycld that wrote it, or train again.")
+            raise KeycldError(
+                f"{path} does not fit this model: '{name}' {what}; use the keycld that wrote it, or train again."
+            )
         if arrays[name].shape != wanted[name].shape:
             raise KeycldError(
-                f"{problem}: '{name}' has the shape {list(arrays[name].shape)}, not {list(wanted[name].shape)}; train "
-                "again into a new --out."
+                f"{path} does not fit this model: '{name}' has the shape {list(arrays[name].shape)}, not "
+                f"{list(wanted[name].shape)}; train again into a new --out."
             )
     leaves = [jnp.asarray(arrays[name], leaf.dtype) if _is_array(leaf) else leaf for name, leaf in _named(like)]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
