@@ -107,8 +107,8 @@ def conservation(run: Run) -> str:
     horizon = result.scores["protocol"]["horizon"]
     note = (
         "Without input no energy is added or lost, so kinetic plus potential energy should stay constant. Over "
-        f"{horizon} frames the total changes by {_percent(drift['energy']['mean'])} of the energy that is exchanged "
-        f"between them (worst {_percent(drift['energy']['worst'])})."
+        f"{horizon} frames the total changes by {_percent(drift['energy']['mean'])} of the largest kinetic "
+        f"energy (worst {_percent(drift['energy']['worst'])})."
     )
     parts = [
         html.figure(
