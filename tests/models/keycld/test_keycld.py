@@ -274,7 +274,7 @@ def both_ways(model, x0, x1, u):
 
 
 def motions_of_groups(model, seen, index, u):
-    """By hand, of a clip's observations: each two give an initial state, whose roll-out passes all frames of the clip."""
+    """By hand: each two observations of a clip give an initial state, whose roll-out passes all its frames."""
     motions = []
     for k in range(0, len(index), 2):
         later, earlier = both_ways(model, seen[k], seen[k + 1], u)
