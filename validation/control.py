@@ -88,7 +88,7 @@ def closed_loop_scores(model, system, config, settings, workers):
 
 
 def held_a_second(result):
-    """Return the trials that keep the goal for a second at any time, and when the first of these seconds start.
+    """Return the trials that keep the goal for a second at any time, and the median time of the first such second.
 
     `successes` asks for the last second of the run instead.
     """

@@ -169,7 +169,7 @@ def accuracy(run: Run) -> str:
     captions = (
         "Error of the predicted pictures over time: mean of all recordings, with a band from the 10th to the 90th "
         f"percentile. {_ABOVE[result.scores['metric']]}",
-        f"For how long each of the {result.scores['n']} recordings was predicted validly.",
+        f"Valid prediction times of the {result.scores['n']} recordings.",
     )
     charts = [
         html.figure(html.chart(error, "error"), captions[0]),
@@ -177,13 +177,13 @@ def accuracy(run: Run) -> str:
     ]
     return html.section(
         "scores",
-        "How long predictions hold",
+        "How long predictions are valid",
         html.grid(charts) + _score_table(result) + _definitions(result) + _other_protocols(run),
     )
 
 
 def _other_protocols(run: Run) -> str:
-    """Write one line for each protocol: recordings released from rest are easier than motions taken up."""
+    """Show one line for each protocol; recordings released from rest are easier than those of later motion."""
     if len(run.evaluations) < 2:
         return ""
     rows = []

@@ -56,7 +56,7 @@ class _Dashboard:
         import importlib
 
         self._module = importlib.import_module(name)
-        self._run = self._module.init(project="keycld", name=folder.name, config=config)
+        self._module.init(project="keycld", name=folder.name, config=config)
 
     def log(self, step: int, values: dict[str, float]) -> None:
         self._module.log(values, step=step)
