@@ -144,7 +144,7 @@ def finished(run: str | Path) -> bool:
 
 
 def make_scene(shape: tuple[int, ...], dataset: DataSet) -> Scene:
-    """Return the sizes of a data set whose training frames have the shape (N, T, H, W, 3)."""
+    """Return what a model must know of training trajectories of a shape (N, T, H, W, 3)."""
     count, length, height, width = shape[:4]
     first = dataset.split("train", images=False, rows=slice(0, 1))
     return Scene(height, width, first.input.shape[-1], length, dataset.dt, count)
