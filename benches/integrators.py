@@ -1,6 +1,6 @@
 """Frames a second of a batch of roll-outs with its gradient: RATTLE with 4 sub-steps compared with one step of RK4.
 
-Both take turns in one run, so that the machine's speed cancels in the ratio. Prints JSON.
+Both alternate in one run, so that the speed of the machine cancels in the ratio. Prints JSON.
 """
 
 import json
@@ -42,7 +42,7 @@ def fit(dynamics, x, v, u, target):
 
 
 def main():
-    """Time both in turn and print medians."""
+    """Time both alternately and print medians."""
     keys = jax.random.split(jax.random.key(0), 4)
     law = ConstrainedLagrangian(
         PointMasses.ones(2),
@@ -61,10 +61,10 @@ def main():
     seconds = {name: [] for name in dynamics}
     for round_ in range(ROUNDS + 1):
         for name, each in dynamics.items():
-            began = time.perf_counter()
+            before = time.perf_counter()
             jax.block_until_ready(fit(each, x, v, u, target))
             if round_ > 0:  # the first round compiles
-                seconds[name].append(time.perf_counter() - began)
+                seconds[name].append(time.perf_counter() - before)
     median = {name: statistics.median(values) for name, values in seconds.items()}
     result = {
         "bench": "integrators",

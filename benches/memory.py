@@ -1,6 +1,6 @@
-"""Training steps a second with freed memory kept by the process, against the C library's default.
+"""Training steps a second with freed memory kept by the process, compared with the default of the C library.
 
-A step of the joint stage on random pictures. Both in one run, in turn, so that the machine's speed cancels in the
+Steps of the joint stage on random frames. Both alternate in one run, so that the speed of the machine cancels in the
 ratio. Prints JSON.
 """
 
@@ -12,39 +12,39 @@ import jax
 import jax.numpy as jnp
 
 from keycld.data import Resident
+from keycld.models import Scene, config_for
 from keycld.systems import get
 from keycld.training.memory import keep_freed_memory
-from keycld.training.presets import Scene, recipe_class
 from keycld.training.step import begin, make_step
 
 ROUNDS, SETTLE, STEPS, FRAMES = 7, 5, 25, 50
 
 
 def main():
-    """Times both in turn and prints medians."""
+    """Time both alternately and print medians."""
     system = get("acrobot")
-    scene = Scene(64, 64, 2, FRAMES, 8, system.keypoints, system.constraints)
-    recipe = recipe_class("fast")()
+    scene = Scene(64, 64, 2, FRAMES, system.dt, 8)
+    config = config_for("keycld", "fast").completed(system)
     image = jax.random.bits(jax.random.key(0), (8, FRAMES, 64, 64, 3), jnp.uint8)
     data = Resident(image, jnp.zeros((8, 2)), jnp.asarray(system.dt, jnp.float32))
-    number, model = 2, recipe.model(scene, jax.random.key(1))
-    stage = recipe.stages(scene)[number]
+    number, model = 2, config.build(scene, jax.random.key(1))
+    stage = config.stages(scene)[number]
     progress, rest = begin(stage, model)
     run = make_step(stage, number, 0, model, 1)
     progress, _ = run((rest, data), progress)  # the first step compiles
     seconds = {"default": [], "kept": []}
     for _ in range(ROUNDS):
         for name in seconds:
-            told = keep_freed_memory(name == "kept")
+            accepted = keep_freed_memory(name == "kept")
             for k in range(SETTLE + STEPS):
                 if k == SETTLE:
                     jax.block_until_ready(progress.parameters)
-                    began = time.perf_counter()
+                    before = time.perf_counter()
                 progress, _ = run((rest, data), progress)
             jax.block_until_ready(progress.parameters)
-            seconds[name].append(time.perf_counter() - began)
+            seconds[name].append(time.perf_counter() - before)
     rate = {name: STEPS / statistics.median(values) for name, values in seconds.items()}
-    result = {"bench": "memory", "steps_per_second": {k: round(v, 1) for k, v in rate.items()}, "told": told}
+    result = {"bench": "memory", "steps_per_second": {k: round(v, 1) for k, v in rate.items()}, "told": accepted}
     print(json.dumps(result | {"ratio": round(rate["kept"] / rate["default"], 2)}))
 
 

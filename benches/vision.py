@@ -1,6 +1,6 @@
-"""Frames a second through observer and renderer, with gradients: our networks against the paper's.
+"""Frames a second through keypoint estimator and renderer, with gradients: our networks compared with the paper's.
 
-Both in one run, in turn, so that the machine's speed cancels in the ratio. Prints JSON.
+Both alternate in one run, so that the speed of the machine cancels in the ratio. Prints JSON.
 """
 
 import json
@@ -17,7 +17,7 @@ BATCH, ROUNDS, KEYPOINTS = 16, 7, 2
 
 
 def networks(unet, width, stride, key):
-    """An estimator and a renderer for 64 × 64 pictures."""
+    """Return an estimator and a renderer for 64 × 64 pixels."""
     keys = jax.random.split(key)
     still = Standardise(jnp.full((64, 64, 3), 0.5), jnp.ones(())) if stride > 1 else None
     features = jnp.zeros((64 // stride, 64 // stride, width - KEYPOINTS))
@@ -28,14 +28,14 @@ def networks(unet, width, stride, key):
 @eqx.filter_jit
 @eqx.filter_value_and_grad
 def reconstruct(model, frames):
-    """The reconstruction error of a batch."""
+    """Return the reconstruction error of a batch."""
     estimator, renderer = model
-    drawn = jax.vmap(lambda frame: renderer(estimator(frame).keypoints))(frames)
-    return jnp.mean(jnp.sum((drawn - frames) ** 2, axis=(1, 2, 3)))
+    rendered = jax.vmap(lambda frame: renderer(estimator(frame).keypoints))(frames)
+    return jnp.mean(jnp.sum((rendered - frames) ** 2, axis=(1, 2, 3)))
 
 
 def main():
-    """Times both in turn and prints medians."""
+    """Time both alternately and print medians."""
     frames = jax.random.uniform(jax.random.key(0), (BATCH, 64, 64, 3))
     models = {
         "paper": networks(PaperUNet, 32, 1, jax.random.key(1)),
@@ -44,10 +44,10 @@ def main():
     seconds = {name: [] for name in models}
     for round_ in range(ROUNDS + 1):
         for name, model in models.items():
-            began = time.perf_counter()
+            before = time.perf_counter()
             jax.block_until_ready(reconstruct(model, frames))
             if round_ > 0:  # the first round compiles
-                seconds[name].append(time.perf_counter() - began)
+                seconds[name].append(time.perf_counter() - before)
     rate = {name: BATCH / statistics.median(values) for name, values in seconds.items()}
     result = {"bench": "vision", "frames_per_second": {k: round(v, 1) for k, v in rate.items()}}
     print(json.dumps(result | {"ratio": round(rate["light"] / rate["paper"], 2)}))

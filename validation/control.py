@@ -1,10 +1,10 @@
-"""Control from pixels, measured: energy shaping, other laws, too few or too weak inputs, bad pictures, imagination.
+"""Scores of control from pixels: energy shaping, other laws, too few or too weak inputs, noise, roll-outs of the model.
 
 python validation/control.py NAME RUN [--only EXPERIMENT ...]     results/control/NAME.json
 
-RUN is a run folder or a trained model of the package. An experiment that is already in the file, of the same weights
-and with the same settings, is skipped: kill it at any moment and give the same command again. Times mean little on a
-machine that does other work: the load is stored with them.
+RUN is a run folder or a trained model of the package. An experiment that the file holds for the same weights and
+settings is skipped, so the same command resumes a killed one. Times depend on other work of the machine, so its load is
+stored with them.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from keycld.control.outcome import HOLD
 from keycld.systems import get
 from keycld.training import Counted, environment, load_run, run_folder
 
-# The inputs of `under`: too weak to lift, or one for two degrees of freedom.
+# The inputs of `under`: too weak to lift the links directly, or one input for two degrees of freedom.
 UNDER = {
     "pendulum": {"limit": 1.0},
     "cartpole": {"limit": 3.0, "actuators": ("force",)},
@@ -88,7 +88,7 @@ def closed_loop_scores(model, system, config, settings, workers):
 
 
 def held_a_second(result):
-    """Return the trials that keep the goal for a second at any time, and when the first of those seconds begin.
+    """Return the trials that keep the goal for a second at any time, and the median time of the first such second.
 
     `successes` asks for the last second of the run instead.
     """
@@ -105,7 +105,7 @@ def held_a_second(result):
 
 
 def imagination(model, system, epsilon, seed):
-    """Measure steps a second inside the model, in parallel roll-outs under random inputs, without compilation."""
+    """Measure steps a second of the model in parallel roll-outs under random inputs, without compilation."""
     limit, inputs = 3.0, len(system.input_names)
     random = np.random.RandomState(seed)
     positions = np.stack([system.positions(random, slider_limit=1.0) for _ in range(100)])
@@ -164,11 +164,11 @@ def plain(value):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", help="of the result; the system is the run's")
+    parser.add_argument("name", help="name of the result")
     parser.add_argument("run", help="run folder, or a trained model of the package")
     parser.add_argument("--only", nargs="+", default=EXPERIMENTS, choices=EXPERIMENTS, metavar="EXPERIMENT")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--trials", type=int, help="of each experiment, for a quick try")
+    parser.add_argument("--trials", type=int, help="trials of each experiment, for a quick run")
     parser.add_argument("--workers", type=int, help="processes that simulate and render; by default one a core")
     parser.add_argument("--out", type=Path, default=Path("results/control"))
     options = parser.parse_args()

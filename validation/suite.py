@@ -1,4 +1,4 @@
-"""The sets of "Which priors matter?": CPU time a trajectory, scores of a still mean picture, pictures for the gallery.
+"""The sets of "Which priors matter?": CPU time of a trajectory, scores of the mean picture, pictures for the gallery.
 
 python validation/suite.py measure [SET ...]     results/datasets/suite.json
 python validation/suite.py gallery [SET ...]     docs/media/suite-*.png
@@ -47,17 +47,17 @@ def record(name, numbers):
 
 
 def measure(name):
-    """CPU milliseconds a trajectory, compilation apart, and the scores of the mean picture."""
+    """Return CPU milliseconds of a trajectory, without compilation, and the scores of the mean picture."""
     system = get(name)
     record(name, range(5_000_000, 5_000_000 + COUNT))
-    began = time.process_time()
+    before = time.process_time()
     train = record(name, range(COUNT))
-    states = time.process_time() - began
+    states = time.process_time() - before
     few = Recording(train.time, train.state[:100], {key: value[:100] for key, value in train.parameters.items()})
     system.pictures(few)
-    began = time.process_time()
+    before = time.process_time()
     system.pictures(few)
-    pictures = time.process_time() - began
+    pictures = time.process_time() - before
     test = record(name, range(TEST, TEST + COUNT))
     shown = [
         system.pictures(Recording(each.time[::EVERY], each.state[:, ::EVERY], each.parameters)).image
@@ -78,7 +78,7 @@ def measure(name):
 
 
 def picture(name):
-    """Two trajectories, twelve frames each."""
+    """Save a picture of two trajectories, twelve frames each."""
     recording = record(name, range(2))
     every = {"room": 22, "md": 16}.get(name.split("/")[0], 6)
     short = Recording(recording.time, recording.state[:, : 12 * every], recording.parameters)

@@ -5,7 +5,7 @@ from keycld._version import __version__ as __version__
 
 
 def load(run):
-    """Return a trained model, by its name in the package (pendulum, cartpole, acrobot) or from a run folder.
+    """Return a trained model.
 
     ```python
     model = keycld.load("acrobot")
@@ -13,8 +13,11 @@ def load(run):
     model.predict(frames, dt, u, length=200).frames
     ```
 
+    Args:
+        run: a run folder, or the name of a model in the package: pendulum, cartpole, acrobot.
+
     Raises:
-        KeycldError: for a name that is neither.
+        KeycldError: it is neither.
     """
     from keycld.training import load_model
 

@@ -1,18 +1,24 @@
-"""The one kind of error that a user can mend."""
+"""The error for mistakes that a user can fix."""
 
 import difflib
 from collections.abc import Iterable
 
 
 class KeycldError(ValueError):
-    """A mistake that the user can mend: one sentence with the rule, the value found and the mend.
+    """A mistake that the user can fix; the message is one sentence with the rule, the value found and the fix.
 
     The command line prints it without a traceback and exits with code 2.
     """
 
 
 def unknown(kind: str, name: str, choices: Iterable[str]) -> KeycldError:
-    """The error for a name that no registry holds; it proposes the nearest valid one."""
+    """Return the error for an unknown name; it proposes the nearest valid one.
+
+    Args:
+        kind: what the name should name, such as "model".
+        name: the unknown name.
+        choices: the valid names.
+    """
     names = sorted(choices)
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     hint = f"did you mean '{near[0]}'? " if near else ""
@@ -20,6 +26,10 @@ def unknown(kind: str, name: str, choices: Iterable[str]) -> KeycldError:
 
 
 def check_seed(seed: int) -> None:
-    """Refuse a number that NumPy's or JAX's generators do not begin from."""
+    """Refuse a number that is no seed of both NumPy's and JAX's generators.
+
+    Raises:
+        KeycldError: it is out of range.
+    """
     if not 0 <= seed < 2**32:
         raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {seed}.")

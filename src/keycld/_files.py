@@ -1,4 +1,4 @@
-"""Files that are whole or absent, whatever kills the process."""
+"""Writing of files that are complete or absent, even if the process is killed."""
 
 import contextlib
 import errno
@@ -13,15 +13,15 @@ from keycld._errors import KeycldError
 
 @contextlib.contextmanager
 def replacing(path: str | Path) -> Iterator[Path]:
-    """Give a temporary path of the same name; what was written there replaces `path` at the end, safe on the disk.
+    """Yield a temporary path of the same name, whose file replaces `path` at the end and is then on the disk.
 
-    Folders are made where they are missing. If the body fails, `path` is left as it was.
+    Missing folders are made. If the body fails, `path` is unchanged.
 
     Raises:
         KeycldError: the folder cannot be made or written, or the disk is full.
     """
     path = Path(path)
-    # A hidden folder: writers see the name's suffix, and nobody who lists files takes it for one.
+    # In a hidden folder the file keeps its name and suffix, and listings of the outer folder do not show it.
     hidden = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         hidden.mkdir(parents=True, exist_ok=True)
@@ -36,7 +36,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file, whole or not at all.
+    """Write a text file, completely or not at all.
 
     Raises:
         KeycldError: as `replacing`.
@@ -46,13 +46,13 @@ def write_text(path: Path, text: str) -> None:
 
 
 def aside_of(path: Path, mark: str) -> Path:
-    """A free name beside `path` for what is there but of another version: NAME.MARK, NAME.MARK.1 and so on."""
+    """Return a free path next to `path` to rename an old version to: NAME.MARK, NAME.MARK.1 and so on."""
     names = (f"{path.name}.{mark or 'unknown'}{'' if n == 0 else f'.{n}'}" for n in itertools.count())
     return next(path.with_name(name) for name in names if not path.with_name(name).exists())
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, where they are missing.
+    """Make a folder and those above it, if they are missing.
 
     Raises:
         KeycldError: it cannot be made.
@@ -73,7 +73,7 @@ def sync(path: Path) -> None:
 
 
 def writing_error(path: Path, error: OSError) -> KeycldError:
-    """What to tell of a file that could not be written."""
+    """Return the error for a file that could not be written."""
     # h5py gives the reason in the text only.
     if error.errno in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
         return KeycldError(f"the disk is full while writing {path}: free some space and run it again.")

@@ -1,4 +1,4 @@
-"""One process an experiment: a lock that ends with the process that holds it, however it ends."""
+"""A lock in a file that ends with the process that holds it, also if that process is killed."""
 
 import contextlib
 import fcntl
@@ -17,7 +17,14 @@ _BEAT_SECONDS = 10.0
 
 
 class Holder(NamedTuple):
-    """Who holds a lock: process, machine, and the seconds since it took it and since it last gave a sign of life."""
+    """The holder of a lock.
+
+    Attributes:
+        pid: its process.
+        host: its machine.
+        age: seconds since it took the lock.
+        silent: seconds since it last touched the file.
+    """
 
     pid: int
     host: str
@@ -27,14 +34,14 @@ class Holder(NamedTuple):
 
 @contextlib.contextmanager
 def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
-    """Hold the lock in the file `path`; gives False where another process holds it.
+    """Hold the lock in the file `path`; yields False if another process holds it.
 
-    The kernel drops the lock when the process ends, so a killed one leaves nothing to clean up. The file, which
-    stays, says who holds the lock; a thread touches it every ten seconds.
+    The kernel releases the lock when the process ends, so a killed one leaves nothing to clean up. The file stays; it
+    names the holder, and a thread touches it every ten seconds.
 
     Args:
-        path: the lock's file.
-        wait: until the other is done, instead of giving up.
+        path: file of the lock.
+        wait: wait until the lock is free.
 
     Raises:
         KeycldError: the file cannot be written.
@@ -65,21 +72,21 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
 
 
 def holder(path: Path) -> Holder | None:
-    """Who holds the lock in the file `path`, or None."""
+    """Return the holder of the lock in the file `path`, or None."""
     try:
         with path.open() as file:
             text = file.read()
             found = json.loads(text) if text else None
             if found is None or (found["host"] == socket.gethostname() and not _alive(found["pid"])):
                 return None
-            try:  # the number may be another process's by now
+            try:  # by now another process may have this number
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
                 return None
             except BlockingIOError:
                 now = time.time()
                 silent = max(0.0, now - path.stat().st_mtime)
                 return Holder(found["pid"], found["host"], now - found["since"], silent)
-    except (FileNotFoundError, ValueError):  # ValueError: half written, a moment ago
+    except (FileNotFoundError, ValueError):  # ValueError: the file is being written
         return None
 
 

@@ -1,7 +1,7 @@
-"""The bench's child process with data, training and scores replaced by quick ones, which note what they did.
+"""The process of one experiment with quick stubs for data, training and scores, which note what they did.
 
 `python bench_stub.py PARENT EXPERIMENT ROOT RESULTS`, as `keycld.benchmarks.child`. The file ROOT/behaviour.json may
-say for an experiment's name what happens in the middle of its training: `raise`, `kill`, `hang`.
+name what happens in the middle of an experiment's training: `raise`, `kill`, `hang`.
 """
 
 import json
@@ -43,7 +43,7 @@ def train_model(experiment, place):
     behaviour = place.root / "behaviour.json"
     fate = json.loads(behaviour.read_text()).get(experiment.name) if behaviour.exists() else None
     if not (run / "config.json").exists():
-        begin(experiment, run)
+        write_run(experiment, run)
     (run / "checkpoints").mkdir(exist_ok=True)
     for step in range(STEPS):
         if not (run / "checkpoints" / str(step)).exists():
@@ -55,7 +55,7 @@ def train_model(experiment, place):
     write(run / "metrics.jsonl", {"step": STEPS, "seconds": 60.0 + experiment.seed, "cpu_seconds": 90.0, "frames": 100})
 
 
-def begin(experiment, run):
+def write_run(experiment, run):
     write(run / "config.json", {"settings": experiment.config().settings()})
     machine = {"processor": "stub", "cores": 2, "devices": ["cpu"], "packages": {}, "python": "3"}
     write(run / "environment.json", {"commit": "c0ffee", **machine})
@@ -78,7 +78,7 @@ def evaluate_model(experiment, place):
 
 
 def fake_evaluation(protocol, vpt, trajectories=4):
-    """Scores as `evaluate` gives them, errors that grow with time, and pictures of a shade that grows too."""
+    """Scores in the form of `evaluate`, errors that grow with time, and pictures whose shade grows too."""
     errors = np.geomspace(1e-5, 1e-2, protocol.horizon)[None, :] * np.linspace(0.5, 2.0, trajectories)[:, None]
     stride = -(-protocol.horizon // 250)
     shown = np.arange(0, protocol.horizon, stride)
@@ -110,12 +110,12 @@ def passed(errors, threshold):
 
 
 def record(experiment, place, vpt, seconds=60.0):
-    """A run folder and a result of that score under every protocol."""
+    """Write a run folder and a result with this score under every protocol."""
     run = place.run(experiment)
     for protocol in experiment.protocols:
         save_evaluation(run, protocol.name, fake_evaluation(protocol, vpt))
     make_data(experiment, place)
-    begin(experiment, run)
+    write_run(experiment, run)
     write(run / "metrics.jsonl", {"seconds": seconds, "cpu_seconds": 0.0, "frames": 1})
     result = condense(experiment, place, {"training": seconds, "evaluation": 1.0})
     write_json(place.result(experiment), result)

@@ -1,4 +1,4 @@
-"""`keycld bench` through the real command line on tiny pictures, and what it says to mistakes."""
+"""`keycld bench` through the real command line on tiny pictures, and its messages on mistakes."""
 
 import dataclasses
 import json
@@ -22,7 +22,7 @@ ONLY = ["--only", "pendulum-node2-0", "--preset", "paper", "--set", *SETTINGS]
 
 
 def finished_data(folder):
-    """Pictures of a disc in the place of the pendulum's, with the marks of a data set that is finished."""
+    """Write a complete data set of the pendulum whose pictures show a disc."""
     plan = splits("keycld-2022")
     for k, split in enumerate(plan):
         count = 3 if split.name == "test_long" else 6
@@ -40,7 +40,7 @@ def finished_data(folder):
     write(folder / "sweeps.h5", sweeps)
     recipe = {}
     with pytest.MonkeyPatch.context() as patch:
-        # What `make_data` looks for in a folder that it would leave as it is.
+        # `make_data` compares this recipe with the one that it would make.
         place = "keycld.data.generate.make._finished"
         patch.setattr(place, lambda folder, wanted, names: recipe.update(wanted) or True)
         make_data("pendulum", folder)

@@ -1,4 +1,4 @@
-"""Real processes: kills, failures, two at once. Data, training and scores are stubs that note what they did."""
+"""Kills, failures and two runs at once, in real processes with stubs for data, training and scores."""
 
 import json
 import os
@@ -44,7 +44,7 @@ def wait_until(condition):
         time.sleep(0.02)
 
 
-def test_killed_in_the_middle_and_started_again_repeats_nothing(place):
+def test_a_killed_bench_repeats_no_finished_work(place):
     """kill -9 of `bench run` while the second of three experiments trains."""
     behave(place, pendulum_keycld_1="hang")
     driver = [sys.executable, "-c", DRIVER, str(place.root), str(place.results), *STUB]
@@ -56,7 +56,7 @@ def test_killed_in_the_middle_and_started_again_repeats_nothing(place):
     assert [status_of(each, place).word for each in experiments()] == ["done", "running", "missing"]
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    # The experiment's own process ends with it, so that nothing is half alive.
+    # The process of the experiment ends too.
     wait_until(lambda: holder(place.run(second) / "bench.lock") is None)
     assert status_of(second, place).word == "missing" and "interrupted" in status_of(second, place).detail
 
@@ -70,7 +70,7 @@ def test_killed_in_the_middle_and_started_again_repeats_nothing(place):
     for experiment in experiments():
         expected += [f"step {k} of {experiment.name}" for k in range(bench_stub.STEPS)]
         expected += [f"{protocol.name} of {experiment.name}" for protocol in experiment.protocols]
-    assert done == expected  # each piece of work once, and none is missing
+    assert done == expected  # each piece of work exactly once
 
     run_experiments(experiments(), place, child=STUB, say=lines.append)
     assert bench_stub.notes(place.root) == done
@@ -79,7 +79,7 @@ def test_killed_in_the_middle_and_started_again_repeats_nothing(place):
     assert status_of(third, place).word == "done"
 
 
-def test_a_failure_is_recorded_and_the_rest_goes_on(place):
+def test_a_failure_is_recorded_and_the_other_experiments_are_done(place):
     behave(place, pendulum_keycld_0="raise", pendulum_keycld_1="kill")
     assert run_experiments(experiments(), place, child=STUB, say=str) == {"failed": 2, "done": 1}
     raised, killed, _ = (status_of(each, place).detail for each in experiments())
@@ -95,7 +95,7 @@ def test_two_at_once_do_not_take_the_same_experiment(place):
     first, *_ = experiments()
     lines = []
     with locked(place.run(first) / "bench.lock"):
-        # As `bench run` sees it, and as its child does if the other was a moment faster.
+        # First seen by `bench run`, then by its child, if the other process was faster by a moment.
         counts = run_experiments([first], place, child=STUB, say=lines.append)
         late = [*STUB, str(os.getpid()), first.to_json(), str(place.root), str(place.results)]
         assert subprocess.run(late, check=False).returncode == 75
@@ -109,7 +109,7 @@ def test_a_run_of_other_settings_is_moved_aside(place):
     (folder / "checkpoints").mkdir(parents=True)
     (folder / "bench.json").write_text(json.dumps({"config_hash": "0123", "seconds": {}}))
     (folder / "checkpoints" / "latest").write_text("00-old")
-    (folder.with_name("pendulum-keycld-0.0123")).mkdir()  # from the time before
+    (folder.with_name("pendulum-keycld-0.0123")).mkdir()  # of an earlier change
     run_experiments([changed], place, child=STUB, say=str)
     assert (folder.with_name("pendulum-keycld-0.0123.1") / "checkpoints" / "latest").read_text() == "00-old"
     assert status_of(changed, place).word == "done"
@@ -123,7 +123,7 @@ def test_a_lock_ends_with_its_holder(tmp_path):
         found = holder(path)
         assert found is not None and found.pid == os.getpid() and found.silent < 60
     assert holder(path) is None
-    # What a killed process leaves: its number in the file, and no lock.
+    # A killed process leaves its number in the file, but no lock.
     path.write_text(json.dumps({"pid": 2**22 + 1, "host": os.uname().nodename, "since": 0.0}))
     assert holder(path) is None
     with locked(path) as mine:

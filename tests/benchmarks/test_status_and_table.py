@@ -1,4 +1,4 @@
-"""Which results count, and the arithmetic of the table."""
+"""States of experiments, and the arithmetic of the tables."""
 
 import csv
 import io
@@ -48,12 +48,12 @@ def test_the_suites():
     assert {experiment.data.folder for experiment in select()} == {"pendulum", "cartpole", "acrobot"}
 
 
-def test_an_experiment_survives_being_text():
+def test_an_experiment_is_the_same_after_a_round_trip_through_json():
     (experiment,) = select(only="acrobot-fc-2", settings={"joint.horizons": [8, 16]})
     assert Experiment.from_json(experiment.to_json()) == experiment
 
 
-def test_the_hash_knows_what_decides():
+def test_the_hash_depends_on_all_that_determines_the_outcome():
     (first,) = select(only="pendulum-keycld-0", seeds=[0], models=["keycld"])
     others = [
         *select(only="pendulum-keycld-1", models=["keycld"]),
@@ -63,10 +63,10 @@ def test_the_hash_knows_what_decides():
         *suite_named("keycld-2024").select(only="pendulum-full"),
     ]
     assert len({experiment.hash() for experiment in (first, *others)}) == 1 + len(others)
-    # A setting that is told but is the preset's own changes nothing.
+    # A setting with the value of the preset changes nothing.
     same = first.config().settings()["joint"]["steps"]
-    (told,) = select(only="pendulum-keycld-0", models=["keycld"], settings={"joint.steps": same})
-    assert told.hash() == first.hash()
+    (same_as_preset,) = select(only="pendulum-keycld-0", models=["keycld"], settings={"joint.steps": same})
+    assert same_as_preset.hash() == first.hash()
 
 
 def test_stale_results(place):
@@ -84,7 +84,7 @@ def test_stale_results(place):
     assert found.word == "missing" and "damaged" in found.detail
 
 
-def test_a_result_says_where_it_comes_from(place):
+def test_a_result_holds_its_command_commit_and_hashes(place):
     (experiment,) = select(only="cartpole-node2-1")
     result = record(experiment, place, 0.5)
     assert result["command"].startswith("keycld bench run keycld --only cartpole-node2-1 --seeds 1 --models node2")

@@ -38,7 +38,7 @@ def keycld(*arguments, folder):
 
 @pytest.fixture
 def here(monkeypatch, capsys):
-    """The same without a new process, for the many mistakes: exit code and what was written to stderr."""
+    """The same without a new process, for the many mistakes: exit code and stderr."""
 
     def run(*arguments, folder):
         monkeypatch.chdir(folder)
@@ -59,9 +59,9 @@ def place(tmp_path_factory, trained):
 
 
 def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
-    """kill -9 as soon as a checkpoint in the middle of the last stage is there; the same command goes on.
+    """kill -9 as soon as there is a checkpoint in the middle of the last stage; the same command resumes.
 
-    It begins where the stage before has ended, as a run does that was killed there.
+    The run is resumed at the end of the stage before, as if it had been killed there too.
     """
     shutil.copytree(place / "whole", place / "cut")
     latest = place / "cut" / "checkpoints" / "latest"
@@ -87,7 +87,7 @@ def test_eval_predict_and_report(here, place):
     answer = keycld("eval", "whole", folder=place)
     assert answer.returncode == 0, answer.stderr
     assert "test@12" in answer.stderr and "72/72" in answer.stderr
-    assert "mean image" in answer.stdout  # a trivial baseline stands beside every result
+    assert "mean image" in answer.stdout  # a trivial baseline next to every result
     scores = [json.loads(p.read_text()) for p in (place / "whole" / "evaluation").glob("*.json")]
     assert any(0 <= s["vpt"]["1"]["mean"] <= 1 for s in scores if "vpt" in s)
 
@@ -114,8 +114,8 @@ def test_eval_predict_and_report(here, place):
     assert "</html>" in page and 'src="http' not in page
 
 
-def test_a_flight_of_a_packaged_model_does_not_stand_for_its_evaluation(here, tmp_path, monkeypatch):
-    """What flies leaves a result of its own; the page shall have predictions all the same."""
+def test_a_control_result_of_a_packaged_model_does_not_replace_its_evaluation(here, tmp_path, monkeypatch):
+    """A packaged model that was only controlled is evaluated before its page is written."""
     done = []
     monkeypatch.setattr("keycld.cli.evaluate.evaluate", done.append)
     monkeypatch.setattr("keycld.reports.write_report", lambda folder: folder / "report.html")
@@ -245,9 +245,9 @@ def test_models_are_listed_for_people_and_programs(place):
     assert "node2" in keycld("models", folder=place).stdout
 
 
-def test_check_finds_good_data_fine(place):
+def test_check_finds_no_problem_in_good_data(place):
     answer = keycld("data", "check", "mine", folder=place)
-    assert answer.returncode == 0 and "mine: fine" in answer.stdout
+    assert answer.returncode == 0 and "mine: no problems" in answer.stdout
 
 
 def test_info_names_packages_and_renderer(place):
@@ -257,7 +257,7 @@ def test_info_names_packages_and_renderer(place):
 
 
 def test_no_gl_is_one_sentence(place):
-    """MuJoCo told to use a GL that is not there: what is missing and what to install, no traceback."""
+    """MuJoCo with a GL that is missing: one sentence says what is missing and what to install."""
     command = [sys.executable, "-m", "keycld.cli.main", "data", "make", "pendulum", "--train", "1", "--out", "gl"]
     broken = os.environ | {"MUJOCO_GL": "egl", "__EGL_VENDOR_LIBRARY_FILENAMES": "/nowhere.json"}
     answer = subprocess.run(command, cwd=place, env=broken, capture_output=True, text=True, check=False)
@@ -266,7 +266,7 @@ def test_no_gl_is_one_sentence(place):
 
 
 def test_foreign_data_trains_with_constraints_given_on_the_command_line(here, place):
-    """No constraints.toml beside the data: --constraints FILE is enough, also to score and predict later."""
+    """No constraints.toml next to the data: --constraints FILE is enough, also to predict later."""
     folder = write_data(place / "bare")
     (folder / "constraints.toml").rename(place / "mine.toml")
     code, message = here("train", "bare", "--out", "bare-run", folder=place)

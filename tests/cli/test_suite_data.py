@@ -32,7 +32,7 @@ def test_make_check_show(tmp_path, monkeypatch, capsys):
         (["cartpole", "--size", "full"], "one size"),
     ],
 )
-def test_mistakes_are_told_in_one_sentence(arguments, words, tmp_path, monkeypatch, capsys):
+def test_mistakes_get_one_sentence_and_code_two(arguments, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["data", "make", *arguments]) == 2
     assert words in capsys.readouterr().err

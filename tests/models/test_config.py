@@ -31,7 +31,7 @@ def test_settings_are_changed_by_name_and_checked():
             config_for("keycld", "fast", **settings)
 
 
-def test_models_and_presets_that_nobody_registered_are_refused_with_the_choices():
+def test_unknown_models_and_presets_are_refused_with_the_nearest_name():
     with pytest.raises(KeycldError, match="unknown preset of model 'keycld' 'fsat'.*did you mean 'fast'"):
         config_for("keycld", "fsat")
     with pytest.raises(KeycldError, match="unknown model 'keycdl'.*did you mean 'keycld'"):
@@ -53,15 +53,15 @@ def test_every_setting_is_documented(name, preset):
     """Each field is followed by its line of documentation, in its own class or in the one it comes from."""
 
     def check(kind):
-        told = set()
+        documented = set()
         for base in kind.__mro__:
             if dataclasses.is_dataclass(base):
                 body = ast.parse(inspect.getsource(base).lstrip()).body[0].body
                 for field, text in zip(body, body[1:], strict=False):
                     if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                        told.add(field.target.id)
+                        documented.add(field.target.id)
         for field in dataclasses.fields(kind):
-            assert field.name in told, f"{kind.__name__}.{field.name}"
+            assert field.name in documented, f"{kind.__name__}.{field.name}"
             if dataclasses.is_dataclass(field.default):
                 check(type(field.default))
 

@@ -1,4 +1,4 @@
-"""Open a page in headless Chromium and say what is on it."""
+"""Open a page in headless Chromium and return what is on it."""
 
 import html
 import json
@@ -38,7 +38,7 @@ addEventListener("load", async () => {
 
 
 def look(page: Path, folder: Path) -> dict:
-    """What Chromium finds on the page; its own complaints are among the `errors`."""
+    """Return what Chromium finds on the page; its own messages are among the `errors`."""
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     assert browser, "this test opens the report in Chromium, which is missing: `make test` installs it"
     copy = folder / "copy.html"

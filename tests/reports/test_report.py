@@ -26,16 +26,16 @@ def test_every_part_is_there(page):
     assert "is left out" not in page.read_text()
 
 
-def test_the_list_of_places_leads_to_every_section(page):
+def test_the_contents_link_to_every_section(page):
     assert re.findall(r'<a href="#(\w+)">', page.read_text()) == sections(page)
 
 
-def test_what_a_stranger_must_read_is_on_the_page(page, scores):
+def test_scores_baselines_and_command_are_on_the_page(page, scores):
     text = page.read_text()
     assert f'<p class="big">{scores["vpt"]["1"]["mean"]:.2f}</p>' in text
     for words in (
         "Valid prediction time is", "mean image", "frozen frame", "constant acceleration", "fast", "seed",
-        "keycld train disc --out runs/disc", "Video can therefore tell ratios only", "vision, joint-8",
+        "keycld train disc --out runs/disc", "a video determines only their ratios", "vision, joint-8",
     ):  # fmt: skip
         assert words in text, words
 
@@ -65,7 +65,7 @@ def test_tags_are_balanced(page):
     assert open_tags == []
 
 
-def test_a_browser_shows_every_movie_and_picture_and_asks_for_nothing_else(page, tmp_path):
+def test_a_browser_shows_every_movie_and_picture_and_requests_nothing(page, tmp_path):
     seen = look(page, tmp_path)
     assert len(seen["movies"]) == 1 + 3 + 2
     assert all(width > 100 and seconds > 0.3 for width, seconds in seen["movies"])
@@ -75,7 +75,7 @@ def test_a_browser_shows_every_movie_and_picture_and_asks_for_nothing_else(page,
     assert seen["movie_hidden"] is False
 
 
-def test_where_h264_is_unknown_the_gif_takes_its_place(page, tmp_path):
+def test_the_gif_replaces_a_movie_that_cannot_be_played(page, tmp_path):
     broken = tmp_path / "broken.html"
     broken.write_text(re.sub(r"data:video/mp4;base64,[^\"]+", "data:video/mp4;base64,AAAA", page.read_text(), count=1))
     seen = look(broken, tmp_path)
@@ -97,13 +97,13 @@ def test_results_of_a_model_without_keypoints_make_a_page(plain_run):
     assert "heat" not in re.sub(r"data:[^\"]+", "", page.read_text())
 
 
-def test_half_a_line_of_metrics_is_no_obstacle(run):
+def test_an_incomplete_line_of_metrics_is_skipped(run):
     with (run / "metrics.jsonl").open("a") as file:
         file.write('{"step": 99, "sta')
     assert "training" in sections(write_report(run))
 
 
-def test_mistakes_are_named(tmp_path):
+def test_what_is_no_run_folder_is_refused(tmp_path):
     with pytest.raises(KeycldError, match="no config.json"):
         write_report(tmp_path)
     (tmp_path / "config.json").write_text("{")

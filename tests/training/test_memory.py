@@ -1,10 +1,10 @@
-"""What training tells the C library."""
+"""Memory that the process keeps between training steps."""
 
 import platform
 import subprocess
 import sys
 
-# A process of its own: what other tests have freed would serve its arrays too. `mallinfo2` of glibc's malloc.h counts.
+# In its own process, because arrays could reuse memory that other tests have freed. `mallinfo2` is in glibc's malloc.h.
 SCRIPT = """
 import ctypes
 import numpy as np
@@ -17,20 +17,20 @@ class Mallinfo2(ctypes.Structure):
 count = ctypes.CDLL(None).mallinfo2
 count.restype = Mallinfo2
 for keep in (False, True):
-    told = keep_freed_memory(keep)
+    accepted = keep_freed_memory(keep)
     before = count()
     array = np.empty(2**26, np.uint8)
     during = count()
     del array
-    print(told, during.hblks - before.hblks, during.arena - count().arena)
+    print(accepted, during.hblks - before.hblks, during.arena - count().arena)
 """
 
 
-def test_kept_memory_is_not_handed_back():
+def test_kept_memory_is_not_returned_to_the_system():
     """An array of 64 megabytes, made and dropped, as in each training step."""
     run = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=False)
     if platform.libc_ver()[0] == "glibc":
-        # By default mapped for itself; then part of the heap, which stays as large as it is.
+        # By default the array is mapped on its own; then it is part of the heap, which keeps its size.
         assert run.stdout.split("\n") == ["True 1 0", "True 0 0", ""], run.stderr
     else:
-        assert "mallinfo2" in run.stderr  # another C library has no such count, and is left alone
+        assert "mallinfo2" in run.stderr  # another C library has no such count and is not changed

@@ -1,4 +1,4 @@
-"""The trained models in the package, on runs of dm_control that were recorded with the paper's own generator."""
+"""The trained models in the package, on recordings of dm_control from the generator of the paper."""
 
 import json
 import shutil
@@ -19,7 +19,7 @@ from keycld.training import load_run, pretrained, run_folder
 from keycld.training.checkpoints import latest_checkpoint, read_position
 
 GOLDEN = Path(__file__).parent.parent / "systems" / "golden"
-# Of the validation pictures (docs/data.md): beyond it a picture is no better than the mean picture.
+# ε of the validation frames (docs/data.md): with a larger error a frame is no better than the mean picture.
 EPSILON = {"pendulum": 8.8e-4, "cartpole": 1.05e-3, "acrobot": 1.98e-3}
 
 
@@ -57,11 +57,11 @@ def test_its_run_folder_is_made_where_it_is_missing(tmp_path, monkeypatch):
         run_folder("pendulm")
 
 
-def test_damaged_weights_are_told_from_missing_ones(tmp_path, monkeypatch):
+def test_damaged_weights_are_refused(tmp_path, monkeypatch):
     shelf = shutil.copytree(Path(keycld.__file__).parent / "weights", tmp_path / "shelf")
     whole = (shelf / "pendulum" / "weights.safetensors").read_bytes()
     (shelf / "pendulum" / "weights.safetensors").write_bytes(whole[: len(whole) // 2])
-    # By the dotted name it would be the function of that name.
+    # The dotted name is that of the function `pretrained`.
     monkeypatch.setattr(sys.modules["keycld.training.pretrained"], "_SHELF", shelf)
     with pytest.raises(KeycldError, match="packaged model 'pendulum' is damaged"):
         keycld.load("pendulum")

@@ -1,4 +1,4 @@
-"""What a person who waits is told."""
+"""The progress bar."""
 
 import io
 
@@ -9,7 +9,7 @@ from keycld.training import Bar, progress
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Seconds that pass only when told."""
+    """A clock that the test advances."""
     passed = [0.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: passed[0])
     return passed
@@ -22,14 +22,14 @@ def test_time_left_does_not_count_what_compiled(clock):
     for seconds, done in ((60.0, 25), (1.0, 50), (2.0, 100)):
         clock[0] += seconds
         bar.show(done, 16.0, "loss 1")
-    compiled, told, last = stream.getvalue().splitlines()
+    compiled, later, last = stream.getvalue().splitlines()
     assert "25/100" in compiled and "left" not in compiled
-    assert "50/100" in told and "0:02 left" in told
+    assert "50/100" in later and "0:02 left" in later
     assert "100/100" in last and "0:00 left" in last
 
 
-def test_a_file_gets_few_lines(clock):
-    """The first, one each `every` seconds, and the last."""
+def test_a_file_gets_a_line_every_few_seconds(clock):
+    """The first call, one every `every` seconds, and the last."""
     stream = io.StringIO()
     bar = Bar("joint", 100, every=15.0, stream=stream)
     for done in range(1, 101):

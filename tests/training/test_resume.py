@@ -1,4 +1,4 @@
-"""A run that was cut anywhere ends with the same bits as one that was not."""
+"""A run that is killed at any moment and resumed gives the same bits as an uninterrupted one."""
 
 import json
 import shutil
@@ -44,7 +44,7 @@ def steps(run):
 
 
 def cut(root, stage: int, done: bool):
-    """A copy of the run as a kill would have left it at its checkpoint in, or at the end of, a stage."""
+    """Copy the run as a kill after a checkpoint within, or at the end of, a stage would leave it."""
     copy = root / f"cut-{stage}-{done}"
     shutil.copytree(root / "whole", copy)
     for checkpoint in sorted((copy / "checkpoints").iterdir()):
@@ -69,7 +69,7 @@ def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, capsys
     expected = load_arrays(root / "whole" / "checkpoints" / last / WEIGHTS, resumed)
     assert_same(expected, resumed)
     assert steps(run) == logged
-    # Six steps teach nobody to see, and who waits is told at the end of that stage.
+    # After six steps the keypoints have not found their parts, and the end of that stage warns of it.
     assert ("the keypoints have not found their parts" in capsys.readouterr().err) == (not done)
 
 

@@ -16,7 +16,7 @@ from keycld.training.step import begin, diagnose, make_step
 
 @pytest.fixture
 def data():
-    """Four trajectories of ten frames whose every pixel tells trajectory and frame: 10 n + t."""
+    """Four trajectories of ten frames whose pixels all have the value 10 n + t."""
     number = (10 * np.arange(4)[:, None] + np.arange(10)[None, :]).astype(np.uint8)
     image = np.broadcast_to(number[:, :, None, None, None], (4, 10, 8, 8, 3))
     return Resident(jnp.asarray(image), jnp.arange(4.0)[:, None], jnp.array(0.1))
@@ -42,11 +42,11 @@ def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
 
 def test_a_share_of_the_clips_begins_where_a_trajectory_does(data):
     clip = StartGroups(batch=1000, groups=2, windows=(6,), steps=10, begin=0.5)(data, jax.random.key(0), jnp.array(3))
-    begins = numbers(clip)[:, 0] % 10 == 0
+    first = numbers(clip)[:, 0] % 10 == 0
     # Of the other half a fifth of the windows start there, and the first of their groups two times out of six.
-    assert 0.5 < begins.mean() < 0.65
-    assert (np.asarray(clip.index)[begins][:, :2] == [0, 1]).all()
-    assert set(np.asarray(clip.index)[begins][:, 2]) == {2, 4}
+    assert 0.5 < first.mean() < 0.65
+    assert (np.asarray(clip.index)[first][:, :2] == [0, 1]).all()
+    assert set(np.asarray(clip.index)[first][:, 2]) == {2, 4}
 
 
 def test_the_window_grows_with_the_steps(data):
@@ -63,8 +63,8 @@ def test_cached_keypoints_take_the_place_of_pictures(data):
     cached = eqx.tree_at(lambda d: d.cached, data, tracks, is_leaf=lambda x: x is None)
     clip = StartGroups(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
     assert clip.frames is None
-    start = clip.cached[:, :1, 0] - clip.index[:, :1]
-    np.testing.assert_array_equal(clip.cached[..., 0] - start, clip.index)
+    offset = clip.cached[:, :1, 0] - clip.index[:, :1]
+    np.testing.assert_array_equal(clip.cached[..., 0] - offset, clip.index)
 
 
 def test_an_epoch_visits_every_trajectory_once(data):
@@ -75,9 +75,9 @@ def test_an_epoch_visits_every_trajectory_once(data):
 
 def test_a_step_number_decides_its_clips(data):
     sampler = RandomFrames(32)
-    draw = [numbers(sampler(data, jax.random.key(0), jnp.array(k))) for k in (5, 5, 6)]
-    np.testing.assert_array_equal(draw[0], draw[1])
-    assert (draw[0] != draw[2]).any()
+    samples = [numbers(sampler(data, jax.random.key(0), jnp.array(k))) for k in (5, 5, 6)]
+    np.testing.assert_array_equal(samples[0], samples[1])
+    assert (samples[0] != samples[2]).any()
 
 
 def test_too_short_trajectories_are_named(data):

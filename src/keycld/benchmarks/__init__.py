@@ -1,4 +1,4 @@
-"""The papers' experiments as code: which runs, which protocol, which table."""
+"""The experiments of the papers as code: runs, protocols, tables, figures."""
 
 from keycld.benchmarks.experiment import DataRecipe as DataRecipe
 from keycld.benchmarks.experiment import Experiment as Experiment

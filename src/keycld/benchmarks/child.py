@@ -1,6 +1,6 @@
-"""The process that does one experiment: data, training, scores, result. `bench run` starts one after the other.
+"""The process of one experiment: data, training, scores, result. `bench run` runs one after the other.
 
-`python -m keycld.benchmarks.child PARENT EXPERIMENT ROOT RESULTS`; its exit code tells how it went.
+`python -m keycld.benchmarks.child PARENT EXPERIMENT ROOT RESULTS`; `running` has its exit codes.
 """
 
 import contextlib
@@ -26,9 +26,9 @@ _NOTES = "bench.json"
 
 
 def main(arguments: list[str]) -> int:
-    """Do the experiment unless it is done or another process does it; returns one of `running`'s exit codes."""
+    """Do the experiment, unless it is done or another process does it; return one of the exit codes of `running`."""
     parent, text, root, results = arguments
-    threading.Thread(target=_end_with, args=(int(parent),), daemon=True).start()
+    threading.Thread(target=_exit_with, args=(int(parent),), daemon=True).start()
     experiment, place = Experiment.from_json(text), Place(Path(root), Path(results))
     with locked(place.run(experiment) / LOCK) as mine:
         if not mine:
@@ -65,10 +65,10 @@ def _attempt(experiment: Experiment, place: Place) -> int:
 
 
 class _Notes:
-    """What a run folder knows of its experiment: the hash, and the seconds spent in all processes."""
+    """Notes in a run folder on its experiment: the hash, and the seconds spent by all processes."""
 
     def __init__(self, experiment: Experiment, place: Place):
-        """Moves a run folder of another configuration out of the way: nobody's training is deleted."""
+        """Read the notes; a run folder of another configuration is moved aside, so that nothing is deleted."""
         self._path = place.run(experiment) / _NOTES
         self._hash = experiment.hash()
         found = read_json(self._path)
@@ -80,17 +80,17 @@ class _Notes:
 
     @contextlib.contextmanager
     def timed(self, what: str) -> Iterator[None]:
-        """Adds the seconds of the body to those of `what`."""
-        before, began = self.seconds.get(what, 0.0), time.monotonic()
+        """Add the seconds of the body to those of `what`."""
+        before, since = self.seconds.get(what, 0.0), time.monotonic()
         try:
             yield
         finally:
-            self.seconds[what] = before + time.monotonic() - began
+            self.seconds[what] = before + time.monotonic() - since
             write_json(self._path, {"config_hash": self._hash, "seconds": self.seconds})
 
 
 def _set_aside(run: Path, old: str) -> None:
-    """Move all but lock and log of a run folder to a new one beside it, whose name has the old hash."""
+    """Move the contents of a run folder, except lock and log, to a new one next to it with the old hash in its name."""
     entries = [entry for entry in run.iterdir() if entry.name not in (LOCK, LOG)]
     if not entries:
         return
@@ -101,26 +101,21 @@ def _set_aside(run: Path, old: str) -> None:
 
 
 def make_data(experiment: Experiment, place: Place) -> None:
-    """Make the data where they are missing; waits where another process makes them."""
+    """Make the data if they are missing; wait while another process makes them."""
     folder = place.data(experiment)
     with locked(folder.with_name(f".{folder.name}.lock"), wait=True):
         experiment.data.make(folder)
 
 
 def train_model(experiment: Experiment, place: Place) -> None:
-    """Train to the end, from the newest checkpoint where there is one."""
+    """Train to the end, from the newest checkpoint if there is one."""
     run = place.run(experiment)
     if not finished(run):
-        train(
-            place.data(experiment),
-            run,
-            experiment.config(),
-            seed=experiment.seed,
-        )
+        train(place.data(experiment), run, experiment.config(), seed=experiment.seed)
 
 
 def evaluate_model(experiment: Experiment, place: Place) -> None:
-    """Score the trained model under each protocol that is not scored yet, and its energies along the sweeps."""
+    """Score the trained model under each protocol without a result, and evaluate its energies along the sweeps."""
     run = place.run(experiment)
     trained = (run / "checkpoints" / "latest").stat().st_mtime
     missing = [
@@ -146,8 +141,8 @@ def _newer(path: Path, moment: float) -> bool:
     return path.exists() and path.stat().st_mtime >= moment
 
 
-def _end_with(parent: int) -> None:
-    """A killed `bench run` takes its work with it, so that the next one finds nothing half alive."""
+def _exit_with(parent: int) -> None:
+    """Exit when `bench run` has been killed, so that the next one finds no process of the old one."""
     while os.getppid() == parent:
         time.sleep(0.2)
     os._exit(INTERRUPTED)

@@ -1,4 +1,4 @@
-"""One experiment: which data, which model, trained how, scored how. Its hash says whether a result is still its own."""
+"""One experiment: data, model, training and scores. Its hash shows whether a recorded result still belongs to it."""
 
 import dataclasses
 import hashlib
@@ -15,13 +15,13 @@ from keycld.systems import get
 
 @dataclass(frozen=True)
 class DataRecipe:
-    """How an experiment's data are made.
+    """How the data of an experiment are made.
 
     Attributes:
-        system: what moves.
+        system: name of the system.
         protocol: `"keycld-2022"` (arXiv v1) or `"keycld-2024"` (journal version).
-        control: which inputs act, instead of the protocol's choice: none, under or full.
-        start: how runs start, instead of the protocol's choice.
+        control: which inputs act: none, under or full; by default as in the protocol.
+        start: initial states; by default as in the protocol.
     """
 
     system: str
@@ -31,17 +31,17 @@ class DataRecipe:
 
     @property
     def label(self) -> str:
-        """The system, and which inputs act where that is part of the recipe: `cartpole-under`."""
+        """The system, with the inputs that act if the recipe sets them: `cartpole-under`."""
         return self.system if self.control is None else f"{self.system}-{self.control}"
 
     @property
     def folder(self) -> str:
-        """Name of the folder under `data/`; the protocol of arXiv v1 is where `keycld data make` puts it."""
+        """Name of the folder under `data/`; that of arXiv v1 is the same as for `keycld data make`."""
         year = "" if self.protocol == "keycld-2022" else f"-{self.protocol.removeprefix('keycld-')}"
         return self.label.replace(self.system, self.system + year, 1)
 
     def make(self, folder: Path) -> None:
-        """Make the data in `folder`; finished ones are left as they are, interrupted work is taken up."""
+        """Make the data in `folder`; finished data stay as they are, interrupted work is resumed."""
         make_data(self.system, folder, protocol=self.protocol, control=self.control, start=self.start)
 
 
@@ -50,13 +50,13 @@ class Experiment:
     """A model trained on some data with one seed, and scored under some protocols.
 
     Attributes:
-        suite: the name of the suite that it belongs to.
+        suite: name of the suite that it belongs to.
         data: how its data are made.
-        model: name of what is trained.
-        preset: the whole recipe's name.
+        model: name of the model.
+        preset: name of the preset.
         seed: of weights and data order.
-        protocols: how it is scored; the first is the headline.
-        settings: of the preset, where they are not its own.
+        protocols: how it is scored; the first gives the headline score.
+        settings: changed settings of the preset.
     """
 
     suite: str
@@ -74,12 +74,12 @@ class Experiment:
 
     @property
     def group(self) -> str:
-        """Folder of its kind: `keycld/fast`; changed settings have a folder of their own."""
+        """Folder of experiments with the same suite and preset, `keycld/fast`; changed settings have their own."""
         changed = f"-{digest(self.settings)[:8]}" if self.settings else ""
         return f"{self.suite}/{self.preset}{changed}"
 
     def config(self) -> ModelConfig:
-        """Return the model's config with the changed settings, and as many given frames as are scored with.
+        """Return the config of the model, with the changed settings and the protocol's number of given frames.
 
         Raises:
             KeycldError: the model, the preset or a setting does not exist.
@@ -90,7 +90,7 @@ class Experiment:
         return config.completed(get(self.data.system))
 
     def hash(self) -> str:
-        """Return the hash of all that decides the outcome: model, preset, all settings, seed, data recipe."""
+        """Return the hash of all that determines the outcome: model, preset, all settings, seed, data recipe."""
         config = self.config()
         decides = {
             "model": config.model,
@@ -102,12 +102,12 @@ class Experiment:
         return digest(decides)
 
     def to_json(self) -> str:
-        """The experiment as text, for the process that does it."""
+        """Return the experiment as text, for its process."""
         return json.dumps(dataclasses.asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> "Experiment":
-        """What `to_json` wrote."""
+        """Return the experiment of a text that `to_json` wrote."""
         fields = json.loads(text)
         protocols = tuple(Protocol(**{**each, "thresholds": tuple(each["thresholds"])}) for each in fields["protocols"])
         return cls(**{**fields, "data": DataRecipe(**fields["data"]), "protocols": protocols})
@@ -115,37 +115,37 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Place:
-    """Where the files of experiments lie.
+    """Where the files of experiments are.
 
     Attributes:
-        root: has `data/` and `runs/`.
-        results: has one small file for each experiment that is done.
+        root: the folder with `data/` and `runs/`.
+        results: the folder with one small file for each experiment that is done.
     """
 
     root: Path
     results: Path
 
     def data(self, experiment: Experiment) -> Path:
-        """Folder of the data set, which experiments share."""
+        """Return the folder of the data set, which experiments share."""
         return self.root / "data" / experiment.data.folder
 
     def group(self, experiment: Experiment) -> Path:
-        """Folder of the run folders of its kind."""
+        """Return the folder of the run folders of its group."""
         return self.root / "runs" / experiment.group
 
     def run(self, experiment: Experiment) -> Path:
-        """The run folder."""
+        """Return the run folder."""
         return self.group(experiment) / experiment.name
 
     def result(self, experiment: Experiment) -> Path:
-        """The recorded outcome, which counts without the run folder."""
+        """Return the file of the recorded result, which is complete without the run folder."""
         return self.results / experiment.group / f"{experiment.name}.json"
 
     def failure(self, experiment: Experiment) -> Path:
-        """What went wrong at the last try."""
+        """Return the file of the last failure."""
         return self.results / experiment.group / f"{experiment.name}.failed.json"
 
 
 def digest(value: Any) -> str:
-    """Sixteen hexadecimal digits that stand for a value of JSON."""
+    """Return sixteen hexadecimal digits, the hash of a JSON value."""
     return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]

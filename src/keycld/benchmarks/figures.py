@@ -1,4 +1,4 @@
-"""The paper's Fig. 3 from recorded results alone: error over time of all models, one panel a data set."""
+"""Fig. 3 of arXiv v1 from recorded results: error over time of all models, one panel for each data set."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -12,15 +12,23 @@ from keycld.benchmarks.table import data_labels, done_results
 from keycld.drawing import INK, Curve, Limit, panels_figure
 from keycld.evaluation import METRICS, Protocol, threshold_text
 
-# A model keeps its colour in every figure, also where others are missing.
+# A model has the same colour in all figures, even if other models are missing.
 _COLOURS = dict(zip(MODEL_TITLES, INK.cycle, strict=False))
 
 
 def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Protocol) -> Figure | None:
-    """Plot the error over time, one curve a model, with the dashed headline threshold; None without any result.
+    """Plot the error over time, one curve for each model, with the headline threshold dashed.
 
-    A curve is the mean over trajectories, then over seeds; its band the 10th and the 90th percentile of the
-    trajectories, each the mean over seeds. The paper shows 20 validation recordings of one seed.
+    A curve is the mean over trajectories and then over seeds; its band goes from the 10th to the 90th percentile of the
+    trajectories, each percentile a mean over seeds. The paper shows 20 validation recordings of one seed.
+
+    Args:
+        experiments: of one suite.
+        place: where their results are.
+        protocol: which of their scores.
+
+    Returns:
+        the figure, None if there is no result.
     """
     results = done_results(experiments, place)
     labels = [label for label in data_labels(experiments) if any(each.data.label == label for each, _ in results)]
@@ -34,7 +42,7 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
             _curve(model, [result["curves"][protocol.name] for trained, result in here if trained == model])
             for model in models
         ]
-        # The legend is read off the first panel, so every model is in it, also one without a result there.
+        # The legend is that of the first panel, so all models are in it, even without a result there.
         panels.append((label, curves))
         threshold = protocol.limit(protocol.thresholds[0], here[0][1]["scores"][protocol.name]["epsilon"])
         limits.append(Limit(threshold, threshold_text(protocol.metric, f"{protocol.thresholds[0]:g}")))
@@ -49,7 +57,7 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
     )
     for axes, (_, curves) in zip(figure.axes, panels, strict=False):
         values = np.concatenate([curve.y[curve.y > 0] for curve in curves])
-        # The band of the given frames may be almost exact; a logarithmic axis should not stretch down to it.
+        # The errors of given frames may be almost zero; a logarithmic axis should not extend to them.
         axes.set_ylim(bottom=0.3 * float(values.min()), top=3.0 * float(values.max()))
     return figure
 

@@ -1,4 +1,4 @@
-"""The recorded outcome of an experiment: small, complete, and worth something without its run folder."""
+"""The recorded result of an experiment: small, and complete without its run folder."""
 
 import json
 import re
@@ -18,20 +18,20 @@ _CURVE_POINTS = 50
 
 
 def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) -> dict[str, Any]:
-    """Return what is worth keeping of a run that is trained and evaluated.
+    """Return the result of a run that is trained and evaluated, as JSON values.
 
     Args:
-        experiment: which one.
+        experiment: the experiment.
         place: where its run folder and data are.
-        seconds: what took how long, as measured in all processes that worked on it.
+        seconds: time of each part of the work, summed over all processes.
 
     Returns:
-        Command, seed, commit and machine; hashes of configuration and data; cost; the scores of each protocol and
-        its error over time.
+        command, seed, commit and machine; hashes of configuration and data; cost; the scores under each protocol and
+        the error over time.
     """
     run, data = place.run(experiment), place.data(experiment)
     config = json.loads((run / "config.json").read_text())
-    begun = json.loads((run / "environment.json").read_text())
+    trained_in = json.loads((run / "environment.json").read_text())
     last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
     statistics = json.loads((data / "statistics.json").read_text())
     stored = {protocol.name: load_evaluation(run, protocol.name) for protocol in experiment.protocols}
@@ -45,10 +45,10 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         "preset": experiment.preset,
         "seed": experiment.seed,
         "settings": config["settings"],
-        # Of the code that began the training, and of that which ended it and scored.
-        "commit": begun["commit"],
+        # Of the first process of the training, and of the process that evaluated.
+        "commit": trained_in["commit"],
         "commit_scored": environment()["commit"],
-        "machine": {name: begun[name] for name in ("processor", "cores", "devices", "packages", "python")},
+        "machine": {name: trained_in[name] for name in ("processor", "cores", "devices", "packages", "python")},
         "config_hash": experiment.hash(),
         "data_hash": digest({name: split["sha256"] for name, split in statistics["splits"].items()}),
         "data_recipe_hash": digest(statistics["recipe"]),
@@ -60,7 +60,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
 
 
 def command(experiment: Experiment) -> str:
-    """Return the command that does this experiment alone, data and scores included."""
+    """Return the command that does only this experiment, with its data and scores."""
     words = ["keycld bench run", experiment.suite, "--only", experiment.name, "--seeds", str(experiment.seed)]
     words += ["--models", experiment.model, "--preset", experiment.preset]
     if experiment.settings:
@@ -75,7 +75,7 @@ def _value(value: Any) -> str:
 
 
 def _scores(scores: dict[str, Any]) -> dict[str, Any]:
-    """Return the scores of one protocol without what belongs to single trajectories."""
+    """Return the scores under one protocol without those of single trajectories."""
     known = ("normalised_error", "table_units", "state", "drift", "masses", "frames_passed")
     return {
         "given": scores["protocol"]["given"],
@@ -96,9 +96,9 @@ def _scores(scores: dict[str, Any]) -> dict[str, Any]:
 
 
 def _curve(result: Evaluation) -> dict[str, Any]:
-    """Return the error over time: 50 frames, their mean over trajectories, 10th and 90th percentile.
+    """Return the error over time: mean over trajectories, 10th and 90th percentile, at 50 frames.
 
-    An error that is not finite stands at the largest finite one; `not_finite` is the share of such frames.
+    An error that is not finite counts as the largest finite one; `not_finite` is the share of such frames.
     """
     errors = result.errors
     finite = np.isfinite(errors)
@@ -117,19 +117,19 @@ def _curve(result: Evaluation) -> dict[str, Any]:
 
 
 def _rounded(values: np.ndarray) -> list[float]:
-    """Return values with four digits, more than a figure shows."""
+    """Return values with four digits, enough for a figure."""
     return [float(f"{value:.4g}") for value in values]
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a value as text for people too: one line a name, lists of numbers in one line; whole or not at all."""
+    """Write a JSON value as readable text, with each list of numbers on one line; completely or not at all."""
     text = json.dumps(value, indent=1, allow_nan=False)
     text = re.sub(r"\[\s+([^\[\]{}]*?)\s+\]", lambda found: "[" + re.sub(r"\s+", " ", found[1]) + "]", text)
     write_text(path, text + "\n")
 
 
 def read_json(path: Path) -> dict[str, Any] | None:
-    """Read what `write_json` wrote, or None where there is no such file.
+    """Return the value that `write_json` wrote, or None if there is no such file.
 
     Raises:
         KeycldError: the file is damaged.
@@ -139,11 +139,19 @@ def read_json(path: Path) -> dict[str, Any] | None:
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
-        raise KeycldError(f"{path} is damaged ({error}): delete it, and `keycld bench run` makes it again.") from error
+        raise KeycldError(f"{path} is damaged ({error}): delete it and repeat the command that made it.") from error
 
 
 def record_failure(experiment: Experiment, place: Place, during: str, kind: str, sentence: str) -> None:
-    """Record what went wrong, for `bench status`; the next `bench run` tries again."""
+    """Record a failure for `bench status`; the next `bench run` repeats the experiment.
+
+    Args:
+        experiment: what failed.
+        place: where its record goes.
+        during: part of the work.
+        kind: name of the error or signal.
+        sentence: message of the error.
+    """
     failure = {
         "experiment": experiment.name,
         "command": command(experiment),

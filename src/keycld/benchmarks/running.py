@@ -1,4 +1,4 @@
-"""Do what is missing or failed, one experiment after the other, each in a process of its own."""
+"""Running of experiments that are missing, stale or failed, each in its own process."""
 
 import contextlib
 import os
@@ -14,7 +14,7 @@ from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import record_failure
 from keycld.benchmarks.status import LOG, Status, count_states, status_of
 
-# Exit codes of the process that does an experiment.
+# Exit codes of the process of an experiment.
 DONE, FAILED, TAKEN, INTERRUPTED = 0, 3, 75, 130
 
 _CHILD = (sys.executable, "-m", "keycld.benchmarks.child")
@@ -27,19 +27,21 @@ def run_experiments(
     child: Sequence[str] = _CHILD,
     say: Callable[[str], None] = print,
 ) -> dict[str, int]:
-    """Do every experiment that is not done; those that fail are written down, and the rest goes on.
+    """Do all experiments that are not done; a failure is recorded, and the next experiment follows.
 
-    Kill it at any moment and call it again: what was finished (data, training steps up to the last checkpoint, scored
-    protocols, results) is not repeated. Two calls at once share the work: an experiment is done by one of them.
+    It can be killed at any moment and called again: finished work (data, training steps up to the last checkpoint,
+    scored protocols, results) is not repeated. Two calls at the same time share the work: each experiment is done by
+    one of them.
 
     Args:
         experiments: what to do, in this order.
-        place: where data, runs and results lie.
-        child: the command that does one; it gets this process's id, the experiment, and the two folders of `place`.
-        say: called with a line about each experiment.
+        place: where data, runs and results are.
+        child: the command of one experiment; its arguments are the id of this process, the experiment, and the two
+            folders of `place`.
+        say: is called with a line about each experiment.
 
     Returns:
-        how many experiments are in each state at the end (`status_of`).
+        number of experiments in each state at the end (`status_of`).
     """
     before = [status_of(experiment, place) for experiment in experiments]
     costs: dict[str, list[float]] = {}
@@ -49,16 +51,16 @@ def run_experiments(
     say(f"{len(experiments)} experiments, {len(experiments) - len(left)} done, {len(left)} to do{_left(costs, left)}")
     width = max(len(experiment.name) for experiment in experiments)
     for number, experiment in enumerate(left, start=1):
-        began = time.monotonic()
+        since = time.monotonic()
         status = status_of(experiment, place)
         if status.word not in ("done", "running"):
             code = _do(experiment, place, child)
             if code not in (DONE, FAILED, TAKEN):
-                _record_death(experiment, place, code)
+                _record_crash(experiment, place, code)
             status = status_of(experiment, place)
         _note(costs, experiment, status)
         line = f"[{number}/{len(left)}] {experiment.name:{width}}  {_outcome(experiment, status)}"
-        say(f"{line}  {_clock(time.monotonic() - began)}{_left(costs, left[number:])}")
+        say(f"{line}  {_clock(time.monotonic() - since)}{_left(costs, left[number:])}")
     return count_states(experiments, place)
 
 
@@ -79,7 +81,7 @@ def _do(experiment: Experiment, place: Place, child: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def _output(run: Path) -> Iterator[IO[Any]]:
-    """Where the training's bars and sentences go: the terminal, or a log in the run folder."""
+    """Yield the file for the output of the process: the terminal, or a log in the run folder."""
     if sys.stderr.isatty():
         yield sys.stderr
     else:
@@ -88,15 +90,15 @@ def _output(run: Path) -> Iterator[IO[Any]]:
             yield file
 
 
-def _record_death(experiment: Experiment, place: Place, code: int) -> None:
-    """A process that ended without a word: what its exit code says."""
+def _record_crash(experiment: Experiment, place: Place, code: int) -> None:
+    """Record the failure of a process that ended without a record of its own."""
     if code < 0:
         kind = signal.Signals(-code).name
         hint = ", often because memory ran out" if kind == "SIGKILL" else ""
         sentence = f"the process was ended by signal {-code}{hint}; see {place.run(experiment) / LOG}"
     else:
         kind, sentence = "crash", f"the process ended with code {code}; see {place.run(experiment) / LOG}"
-    record_failure(experiment, place, "its process's life", kind, sentence)
+    record_failure(experiment, place, "its process", kind, sentence)
 
 
 def _outcome(experiment: Experiment, status: Status) -> str:
@@ -113,7 +115,7 @@ def _note(costs: dict[str, list[float]], experiment: Experiment, status: Status)
 
 
 def _left(costs: dict[str, list[float]], experiments: Sequence[Experiment]) -> str:
-    """The time left by what the same model, or else any, took so far; nothing while none is finished."""
+    """Return the time left, from the times of the same model or else of all models; nothing before the first one."""
     known = [cost for model in costs.values() for cost in model]
     if not known or not experiments:
         return ""

@@ -1,4 +1,4 @@
-"""How far each experiment is."""
+"""The states of experiments."""
 
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
@@ -16,7 +16,7 @@ Word = Literal["done", "running", "failed", "stale", "missing"]
 
 
 class Status(NamedTuple):
-    """The state of an experiment, what there is to say about it, and its result where one is recorded."""
+    """The state of an experiment, a remark on it, and its recorded result, if there is one."""
 
     word: Word
     detail: str
@@ -24,14 +24,14 @@ class Status(NamedTuple):
 
 
 def status_of(experiment: Experiment, place: Place) -> Status:
-    """Done, running, failed, stale or missing.
+    """Return whether an experiment is done, running, failed, stale or missing.
 
-    - done: a result whose hash is that of the experiment as it would be done now, with all its protocols. Its run
-      folder may be gone.
-    - running: a live process holds the lock in the run folder.
-    - failed: the last try of this very experiment went wrong; the kind of failure and a sentence.
+    - done: there is a result with the current hash of the experiment and all its protocols. The run folder is not
+      needed.
+    - running: a process holds the lock in the run folder.
+    - failed: the last attempt with the current hash failed.
     - stale: there is a result, but of other settings, data, constraints or protocols.
-    - missing: none of these; a run that was interrupted will be taken up.
+    - missing: none of these; an interrupted run will be resumed.
     """
     path = place.result(experiment)
     try:
@@ -60,7 +60,7 @@ def status_of(experiment: Experiment, place: Place) -> Status:
 
 
 def status_table(experiments: Sequence[Experiment], place: Place) -> str:
-    """One line an experiment."""
+    """Return a table with one line for each experiment."""
     width = max(len(experiment.name) for experiment in experiments)
     headline = experiments[0].protocols[0].name
     lines = [f"{'experiment':{width}}  {'state':8}{'VPT':>6}{'minutes':>9}  (VPT: {headline}; minutes of training)"]
@@ -75,7 +75,7 @@ def status_table(experiments: Sequence[Experiment], place: Place) -> str:
 
 
 def count_states(experiments: Sequence[Experiment], place: Place) -> dict[str, int]:
-    """How many experiments are in each state."""
+    """Return the number of experiments in each state."""
     words = [status_of(experiment, place).word for experiment in experiments]
     return {word: words.count(word) for word in dict.fromkeys(words)}
 

@@ -1,4 +1,4 @@
-"""The papers' experiments by name."""
+"""Suites of experiments by name."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -17,21 +17,21 @@ _SCORED = ("test@50", "validation@50", "test_long@200", "test_long@500")
 
 
 def model_title(model: str) -> str:
-    """Return the title of a model of the paper; other models go by their registered names."""
+    """Return the title of a model of the KeyCLD paper, or the name of any other model."""
     return MODEL_TITLES.get(model, model)
 
 
 @dataclass(frozen=True)
 class Suite:
-    """Experiments that belong together: every choice of data, model and seed.
+    """All experiments with some data sets, models and seeds.
 
     Attributes:
-        name: of the suite.
-        title: what it is, for the reader.
-        data: recipes of its data sets, one a column of its table.
-        models: what is trained by default.
-        seeds: with which seeds by default.
-        protocols: how everything is scored; the first is the headline.
+        name: name of the suite.
+        title: one line about it.
+        data: recipes of its data sets, the columns of its table.
+        models: models by default.
+        seeds: seeds by default.
+        protocols: how the experiments are scored; the first gives the headline score.
     """
 
     name: str
@@ -51,18 +51,18 @@ class Suite:
         preset: str = "fast",
         settings: dict[str, Any] | None = None,
     ) -> tuple[Experiment, ...]:
-        """Select the experiments that fit, in the order in which they are done: seeds, then models, then data.
+        """Return the selected experiments in the order of their work: by seed, then model, then data.
 
         Args:
             only: a part of the name.
-            seeds: those to take; the suite's own where empty.
-            systems: likewise.
-            models: likewise.
-            preset: the recipe of the training.
-            settings: of the preset, where they are not its own.
+            seeds: seeds; by default those of the suite.
+            systems: systems; by default those of the suite.
+            models: models; by default those of the suite.
+            preset: name of the preset.
+            settings: changed settings of the preset.
 
         Raises:
-            KeycldError: something does not exist, nothing fits, or the preset needs more frames than are given.
+            KeycldError: a name does not exist, nothing is selected, or the preset needs more frames than are given.
         """
         for kind, given, known in (("system", systems, _SYSTEMS), ("model", models, registered())):
             for name in given:
@@ -75,7 +75,7 @@ class Suite:
             for data in self.data
             if not systems or data.system in systems
         ]
-        # A preset or setting that does not exist, or does not fit, is noticed before anything is done.
+        # Raises now if a preset or a setting does not exist or does not fit.
         needed, least = found[0].config().context, min(protocol.given for protocol in self.protocols)
         if needed > least:
             raise KeycldError(
@@ -106,7 +106,7 @@ SUITES = {
                 DataRecipe(system, "keycld-2024", control)
                 for system in _SYSTEMS
                 for control in ("none", "under", "full")
-                # A pendulum has one input: it acts or not.
+                # A pendulum has one input, which acts or not.
                 if (system, control) != ("pendulum", "under")
             ),
             models=("keycld",),
@@ -118,10 +118,10 @@ SUITES = {
 
 
 def suite_named(name: str) -> Suite:
-    """Return the suite of that name.
+    """Return a suite by name.
 
     Raises:
-        KeycldError: there is none; names the nearest.
+        KeycldError: there is none; names the nearest one.
     """
     if name not in SUITES:
         raise unknown("suite", name, SUITES)
@@ -137,5 +137,5 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     parts = [part.strip() for part in text.split(",") if part.strip()]
     for part in parts:
         if not part.isdecimal():
-            raise KeycldError(f"seeds are whole numbers such as 0,1,2; '{part}' is none.")
+            raise KeycldError(f"seeds are whole numbers such as 0,1,2, not '{part}'.")
     return tuple(int(part) for part in parts)

@@ -1,4 +1,4 @@
-"""The paper's Table 1 from recorded results: published, trivial and our scores, ours as mean and spread over seeds."""
+"""Table 1 of arXiv v1 from recorded results: our scores (mean and spread over seeds), trivial and published ones."""
 
 import csv
 import io
@@ -9,25 +9,25 @@ from typing import Any, NamedTuple
 
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.status import Status, status_of
-from keycld.benchmarks.suites import MODEL_TITLES
+from keycld.benchmarks.suites import MODEL_TITLES, model_title
 from keycld.evaluation import PAPER_VPT, Protocol, protocol_named, threshold_text
 
 
 class Cell(NamedTuple):
-    """A mean, its spread where there are several values, and how many there are."""
+    """A mean, the spread of several values (None for one), and the number of values."""
 
     mean: float
     spread: float | None
     n: int
 
     def text(self, digits: int) -> str:
-        """`0.97 ± 0.01 (3)`; in brackets the number of seeds. A published or trivial score has none."""
+        """Return text such as `0.97 ± 0.01 (3)`, with the number of seeds if it is not 0."""
         spread = "" if self.spread is None else f" ± {self.spread:.{digits}f}"
         return f"{self.mean:.{digits}f}{spread}" + (f" ({self.n})" if self.n else "")
 
 
 class Row(NamedTuple):
-    """A line of a table: its kind is `ours`, `trivial` or `paper`."""
+    """A row of a table; `kind` is `ours`, `trivial` or `paper`."""
 
     name: str
     kind: str
@@ -36,14 +36,14 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class Table:
-    """Scores under one protocol and threshold: one column a data set, one row a model.
+    """Scores under one protocol and threshold: one column for each data set, one row for each model.
 
     Attributes:
         name: for files: `test@50`, `test@50 ε/4`, `minutes`.
         title: what the numbers are.
         columns: the data sets.
-        rows: models, trivial predictors, the paper's.
-        digits: behind the point.
+        rows: our models, trivial predictors, published scores.
+        digits: digits after the decimal point.
     """
 
     name: str
@@ -53,13 +53,13 @@ class Table:
     digits: int = 3
 
     def texts(self, row: Row) -> list[str]:
-        """Return the cells of a row as words: a dash for a score that is not there, the paper's with its two digits."""
+        """Return the cells of a row as text: a dash for a missing score, two digits for published ones."""
         digits = 2 if row.kind == "paper" else self.digits
         return ["–" if cell is None else cell.text(digits) for cell in row.cells]
 
 
 def over_seeds(values: Sequence[float]) -> Cell:
-    """Return mean and sample standard deviation (n − 1) of one score over seeds; no spread for a single one."""
+    """Return mean and sample standard deviation (n − 1) of a score over seeds; no spread for a single seed."""
     n = len(values)
     mean = sum(values) / n
     spread = math.sqrt(sum((value - mean) ** 2 for value in values) / (n - 1)) if n > 1 else None
@@ -67,9 +67,9 @@ def over_seeds(values: Sequence[float]) -> Cell:
 
 
 def tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
-    """Make one table for each protocol and threshold, and one of the training times.
+    """Return one table for each protocol and threshold, and one of the training times.
 
-    Only results that are done count (`status_of`): stale ones are left out.
+    Stale results are left out (`status_of`).
     """
     results = done_results(experiments, place)
     found = []
@@ -83,16 +83,19 @@ def tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]
 
 
 def done_results(experiments: Sequence[Experiment], place: Place) -> list[tuple[Experiment, dict[str, Any]]]:
-    """Return experiments that are done, with their results."""
+    """Return the experiments that are done, with their results."""
     found: list[tuple[Experiment, Status]] = [(each, status_of(each, place)) for each in experiments]
     return [(each, status.result) for each, status in found if status.word == "done" and status.result is not None]
 
 
 def provenance(experiments: Sequence[Experiment], place: Place) -> str:
-    """Say which commits scored the results of each model; those of several commits need not be of one recipe."""
+    """Return a line that names the commits that scored the results of each model.
+
+    Results of several commits need not have the same recipe.
+    """
     found: dict[str, dict[str, int]] = {}
     for experiment, result in done_results(experiments, place):
-        commits = found.setdefault(MODEL_TITLES[experiment.model], {})
+        commits = found.setdefault(model_title(experiment.model), {})
         commit = str(result["commit_scored"])[:7]
         commits[commit] = commits.get(commit, 0) + 1
     each = (f"{model} " + ", ".join(f"{commit} ({n})" for commit, n in of.items()) for model, of in found.items())
@@ -132,7 +135,7 @@ def _scores(
 
 
 def _published(experiment: Experiment, protocol: Protocol) -> bool:
-    """Return whether the paper's Table 1 is about this: its data, the first two of 50 frames given."""
+    """Return whether Table 1 of arXiv v1 has scores for this: the same data, two of 50 frames given."""
     same = protocol_named(f"{protocol.split}@50")
     return experiment.data.protocol == "keycld-2022" and replace(protocol, shown=same.shown) == same
 
@@ -149,7 +152,7 @@ def _ours(
     for model in dict.fromkeys(experiment.model for experiment in experiments):
         found = [values.get((model, column)) for column in data_labels(experiments)]
         rows.append(
-            Row(MODEL_TITLES[model], "ours", tuple(None if each is None else over_seeds(each) for each in found))
+            Row(model_title(model), "ours", tuple(None if each is None else over_seeds(each) for each in found))
         )
     return tuple(rows)
 
@@ -175,7 +178,7 @@ def as_markdown(table: Table) -> str:
 
 
 def as_csv(found: Sequence[Table]) -> str:
-    """Return all tables in one, one line a cell: table, row, kind, column, mean, spread, n (0 without seeds)."""
+    """Return all tables as one, a line for each cell: table, row, kind, column, mean, spread, n (0 without seeds)."""
     with io.StringIO(newline="") as buffer:
         writer = csv.writer(buffer, lineterminator="\n")
         writer.writerow(["table", "row", "kind", "column", "mean", "spread", "n"])

@@ -1,4 +1,4 @@
-"""`keycld control`."""
+"""The verb `keycld control`."""
 
 import ast
 import math
@@ -13,7 +13,7 @@ LAWS = Path(__file__).parent.parent / "control" / "laws"
 
 
 def law_titles() -> str:
-    """Return name, title and settings of the control laws, read from their files: importing them would import JAX."""
+    """Return name, title and settings of the control laws, from their source files, because imports would load JAX."""
     lines = []
     for path in sorted(LAWS.glob("*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
@@ -57,8 +57,8 @@ def control(
     """Bring the simulated system to a goal pose from its pixels, with the physics that a model has learned.
 
     Each picture of the simulated system gives keypoints, the state estimator turns them into positions and velocities,
-    the control law gives the input, and MuJoCo applies it until the next picture. The true state serves the scores
-    only. Results: scores, trajectories, energies and timing in evaluation/, a movie and figures in media/.
+    the control law computes the input, and MuJoCo applies it until the next picture. Only the scores use the true
+    state. Results: scores, trajectories, energies and timing in evaluation/, a movie and figures in media/.
 
     Examples: `keycld control cartpole --trials 20`, `keycld control acrobot --set kp=8 kd=3`,
     `keycld control pendulum --law mpc --limit 1 --seconds 20`.
@@ -71,7 +71,7 @@ def control(
         limit: The largest |u|; no limit by default. mpc and random need one; the usual training data have 3.
         actuators: Names of the inputs that act; by default all inputs in the model's training data.
         seconds: Duration of each trial.
-        trials: How many random initial states, all at rest; the first one is timed and shown.
+        trials: Number of random initial states, all at rest; the first trial is timed and shown.
         seed: Of initial states, noise and random inputs.
         estimator: The state estimator: predict-correct uses the learned dynamics, differences the last two frames.
         noise: Deviation of noise on the pictures, as a share of the full range.
@@ -135,7 +135,10 @@ def _picture(path: Path) -> Any:
 
 
 def _name(goal: str, config: Any) -> str:
-    """Return the name of the result's files: goal, law, and what differs from the defaults, trials and seed apart."""
+    """Return the name of the result's files: goal, law, and all settings that are not the defaults.
+
+    Trials and seed are no part of the name.
+    """
     words = ["control", "upright" if goal == "upright" else Path(goal).stem, config.law.name]
     words += list(config.actuators or ())
     now, usual = config.as_dict(), type(config)(law=type(config.law)()).as_dict()
@@ -149,7 +152,7 @@ def _name(goal: str, config: Any) -> str:
 
 
 def summary_of(scores: dict[str, Any]) -> str:
-    """Return successes, timing and passivity of a closed-loop run, in lines for a terminal."""
+    """Return successes, timing and passivity of a closed-loop run as lines for a terminal."""
     step = scores["step"]
     largest = ", ".join(f"{value:.3g}" for value in scores["largest_input"])
     lines = [

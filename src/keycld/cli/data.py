@@ -1,4 +1,4 @@
-"""`keycld data make | check | show | import`."""
+"""The verbs `keycld data make | check | show | import`."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -31,24 +31,24 @@ def make(
     Args:
         system: pendulum, cartpole or acrobot, rendered by MuJoCo; or a set of "Which priors matter?" such as
             toy/pendulum_colors, games/matching_pennies, md/lj_16 or room/circle (docs/datasets.md has all 17).
-            Interrupted work is resumed; finished data are left as they are.
+            Interrupted work is resumed; finished data stay as they are.
         out: Folder; data/SYSTEM by default.
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); for toy sets priors-released (the
             configurations behind the published scores) or priors-paper (the text, where it differs). Default:
             keycld-2022, priors-released.
-        control: Which inputs act: none, under (the second does not), full, or the name of the one that acts alone,
-            such as elbow_torque. Default: the protocol's.
-        start: How runs begin: rest, random, or upright (half of them near that pose, for control that must hold it).
-            Default: the protocol's.
-        clip: Whether the motors limit the input to their range. Default: the protocol's.
-        input: Whether the input is constant in a run or a random-walk held for a frame. Default: constant.
-        size: full is the published size of the md and room sets, which takes hours; the others are full by default.
-        store: states (rendered when they are read) or images. Default: states where possible.
-        train: Runs for training, for a smaller set; of toy, games, md and room including those for validation.
-        validation: Runs for validation.
-        test: Runs for the test.
-        long: Runs of the long test.
-        workers: Renderer processes, at most four. Default: one a core.
+        control: Which inputs act: none, under (the second does not), full, or the name of the only one that acts,
+            such as elbow_torque; by default as in the protocol.
+        start: Initial states: rest, random, or upright (half of them near that pose, for control that must hold it);
+            by default as in the protocol.
+        clip: Whether the motors limit the input to their range; by default as in the protocol.
+        input: constant in each recording, or a random-walk with one value for each frame; by default constant.
+        size: full is the published size of the md and room sets, which takes hours; the others have it by default.
+        store: states (rendered when they are read) or images; by default states where possible.
+        train: Recordings for training, for a smaller set; for toy, games, md and room with those for validation.
+        validation: Recordings for validation.
+        test: Recordings for the test.
+        long: Recordings of the long test.
+        workers: Renderer processes, at most four; by default one a core.
     """
     from keycld.data import make_data
 
@@ -68,13 +68,13 @@ def make(
         progress=_Shown(),
     )
     if not made.fresh:
-        print(f"{made.folder} is already there, nothing to do")
+        print(f"{made.folder} is already there: nothing to do")
         return
     print(f"made {made.folder} in {made.seconds:.0f} s, rendered by {made.renderer}")
 
 
 def check(data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")], /) -> None:
-    """Check a data file or a folder of them: what is wrong, where, and how to fix it.
+    """Check data files, and say what is wrong, where, and how to fix it.
 
     Args:
         data: An HDF5 file, or a folder with train.h5, validation.h5, …
@@ -86,7 +86,7 @@ def check(data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DAT
         print(problem)
     if problems:
         raise KeycldError(f"{len(problems)} problem{'s' if len(problems) > 1 else ''} in {data}, listed above.")
-    print(f"{data}: fine")
+    print(f"{data}: no problems")
 
 
 def show(
@@ -103,7 +103,7 @@ def show(
     Args:
         data: A system whose data is under data/, or a data set's folder.
         split: The file: train, validation, test or test_long.
-        trajectory: The number of the trajectory; negative ones count from the last.
+        trajectory: The number of the trajectory; negative numbers count from the last.
         out: Movie, .gif or .mp4; DATA-SPLIT-TRAJECTORY.gif by default.
         scale: Enlargement.
     """
@@ -136,7 +136,7 @@ def import_(
 
     Args:
         videos: One or more video files; or one folder of the original suite, with features.txt and train.tfrecord,
-            for which only --out counts.
+            which uses --out only.
         out: Folder of the data set.
         constraints: TOML file with keypoint names and constraints, copied into the folder.
         size: Height and width of the pictures, a multiple of 8.
@@ -154,7 +154,7 @@ def import_(
 
 
 class _Shown:
-    """Progress of a long job, in the form that training uses."""
+    """A `progress` callback that shows the bar of the training."""
 
     def __init__(self) -> None:
         self._bar = None

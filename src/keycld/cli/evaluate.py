@@ -1,4 +1,4 @@
-"""`keycld eval`."""
+"""The verb `keycld eval`."""
 
 import sys
 from pathlib import Path
@@ -26,11 +26,11 @@ def evaluate(
 
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
-        data: Data set to score on; by default the one that the model was trained on. Results on another one have its
-            name in theirs, such as test@50-mine.
-        protocols: Such as test@50, validation@50, test_long@200 or test@256-priors; with -given-N, -from-K (recordings
-            taken up at frame K) or -backward behind it, such as test_long@50-from-30. By default all standard ones that
-            the data have files for.
+        data: Data set to score on; by default the one of the training. Results on another one get its name as a suffix,
+            such as test@50-mine.
+        protocols: Such as test@50, validation@50, test_long@200 or test@256-priors, with a suffix -given-N, -from-K
+            (recordings from frame K on) or -backward, such as test_long@50-from-30. By default all standard ones for
+            which the data have files.
         json: Print all scores as JSON, by protocol, instead of tables.
     """
     from keycld.cli.making import data_for
@@ -42,13 +42,13 @@ def evaluate(
     folder, asked = run_folder(run), data
     model, config = load_run(folder)
     if not finished(folder):
-        print(f"{folder} has not trained to its end; scoring its newest checkpoint", file=sys.stderr)
+        print(f"the training of {folder} is not finished; scoring its newest checkpoint", file=sys.stderr)
     if data is None:
         data = config.data
         if not Path(data).is_dir():
-            # A model of the package may come to a machine that has no data yet; a run's data must be its own.
+            # Data for a packaged model can be made here; a run needs the data that it was trained on.
             if run not in pretrained():
-                raise KeycldError(f"{data}, which {folder} was trained on, is not there: name a data set with --data.")
+                raise KeycldError(f"the data of {folder}, {data}, are missing: name a data set with --data.")
             data = str(data_for(config.system))
     dataset = open_data(data)
     chosen = _chosen(dataset, model, protocols)
@@ -68,7 +68,7 @@ def evaluate(
 
 
 def _chosen(dataset: "DataSet", model: "AbstractModel", names: tuple[str, ...]) -> "list[Protocol]":
-    """Return the named protocols, or the standard ones, that the model can be scored with."""
+    """Return those of the named or standard protocols that the model can be scored under."""
     from keycld.evaluation import protocol_named, protocols_for
     from keycld.models.base import Reversible
 
@@ -79,12 +79,12 @@ def _chosen(dataset: "DataSet", model: "AbstractModel", names: tuple[str, ...]) 
     chosen = [each for each in named or protocols_for(dataset, model) if reversible or not each.backward]
     if not chosen:
         found = ", ".join(dataset.splits)
-        raise KeycldError(f"no protocol is left to score this model on {dataset.folder} (files: {found}): name others.")
+        raise KeycldError(f"no protocol fits this model and {dataset.folder} (files: {found}): name others.")
     return chosen
 
 
 def _holds(dataset: "DataSet", training: str | None) -> bool:
-    """Return whether a data set has the training file of that checksum."""
+    """Return whether a data set has the training file with this checksum."""
     from keycld.data import sha256
 
     return "train" in dataset.splits and sha256(dataset.path("train")) == training

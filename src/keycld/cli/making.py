@@ -1,11 +1,11 @@
-"""Makes the data set of a known system when a verb needs it."""
+"""Making of the data of a known system when a verb needs them."""
 
 import sys
 from pathlib import Path
 
 
 def data_for(name: str) -> str:
-    """Return the data set for a name or folder; that of a known system is made under `data/` first if it is missing."""
+    """Return a data set's name or folder; the data of a known system are made under `data/` first if missing."""
     from keycld.data import unfinished
     from keycld.systems import names
 

@@ -1,4 +1,4 @@
-"""`keycld models`."""
+"""The verb `keycld models`."""
 
 import json
 from typing import Annotated
@@ -7,7 +7,7 @@ import tyro
 
 
 def models(*, as_json: Annotated[bool, tyro.conf.arg(name="json")] = False) -> None:
-    """List the models that can be trained: families, presets, what each model can do, and its size.
+    """List the models that can be trained, with families, presets, capabilities and sizes.
 
     Parameters are counted at 32 × 32 pixels without inputs, in the default preset; KeyCLD's with one keypoint.
 

@@ -1,4 +1,4 @@
-"""`keycld predict`."""
+"""The verb `keycld predict`."""
 
 from pathlib import Path
 from typing import Annotated
@@ -21,8 +21,8 @@ def predict(
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         data: HDF5 file in keycld's format, with pictures or with states that keycld renders.
         out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
-        given: Frames to give; by default as many as the model needs.
-        first: Number of the first given frame. What was before it is predicted backward, where the model can.
+        given: Number of given frames; by default as many as the model needs.
+        first: Number of the first given frame. A reversible model predicts the frames before it backward.
     """
     from keycld.evaluation import predict_file
     from keycld.training import Counted, load_model

@@ -1,4 +1,4 @@
-"""Settings as words, for verbs where they are not flags: several models to train, a control law."""
+"""Settings in the form NAME=VALUE, for verbs where they are not flags."""
 
 from typing import Any
 
@@ -6,7 +6,11 @@ from keycld._errors import KeycldError
 
 
 def parse_setting(text: str) -> tuple[str, Any]:
-    """Return name and value of a setting such as `joint.horizons=8,16`."""
+    """Return name and value of a setting such as `joint.horizons=8,16`.
+
+    Raises:
+        KeycldError: the text has no `=`.
+    """
     name, equals, value = text.partition("=")
     if not equals:
         raise KeycldError(f"--set takes NAME=VALUE, not '{text}'.")

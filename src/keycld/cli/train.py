@@ -1,4 +1,4 @@
-"""`keycld train`."""
+"""The verb `keycld train`."""
 
 import inspect
 from collections.abc import Callable, Sequence
@@ -28,22 +28,22 @@ def train(
 ) -> None:
     """Train a model from pictures; the same command resumes a run that was killed.
 
-    Settings of the preset are flags too: `keycld train cartpole --vision.steps 500`. The list below belongs to the
-    model and the preset that are named: `keycld train --model node2 --preset paper --help` lists others.
+    Settings of the preset are flags too: `keycld train cartpole --vision.steps 500`. The list below is that of the
+    given model and preset: `keycld train --model node2 --preset paper --help` shows another one.
 
     Args:
-        data: A system (pendulum, cartpole, acrobot), whose data are made first if they are not there, or the folder of
+        data: A system (pendulum, cartpole, acrobot), whose data are made first if they are missing, or the folder of
             a data set.
-        model: What to train; `keycld models` lists all.
+        model: Model to train; `keycld models` lists all.
         preset: The whole recipe; by default fast.
         settings: Fields of the preset.
-        seed: Decides weights and data order; by default 0. Same seed, machine and settings: same bits.
+        seed: Seed of weights and data order; by default 0. Same seed, machine and settings: same bits.
         out: Run folder; by default runs/DATA-MODEL-PRESET-SEED.
-        constraints: TOML file with keypoints and constraints, instead of the data's own; for models that have some.
-        config: A run's config.json: trains the same again. What is given besides it changes that part.
-        track: Where metrics go besides metrics.jsonl: none, wandb, trackio or tensorboard.
-        log_every: Steps between lines of metrics.jsonl; checkpoints are taken at such steps too.
-        checkpoint_seconds: A killed run loses at most about this much, and the steps to the next line.
+        constraints: TOML file with keypoints and constraints, instead of those of the data; for models that have some.
+        config: The config.json of a run, to train the same again. Other options change their part of it.
+        track: Where metrics go in addition to metrics.jsonl: none, wandb, trackio or tensorboard.
+        log_every: Steps between lines of metrics.jsonl; checkpoints are written at such steps too.
+        checkpoint_seconds: Time between checkpoints, and about the most that a killed run loses.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
@@ -54,7 +54,7 @@ def train(
     if saved is not None:
         data, seed = data or saved.data, saved.seed if seed is None else seed
     if not data:
-        raise KeycldError("name what to train on: `keycld train pendulum`, or the folder of a data set.")
+        raise KeycldError("name what to train on: a system, `keycld train pendulum`, or the folder of a data set.")
     if constraints is not None:
         settings = settings.changed({"constraints": _text(constraints)})
     folder = data_for(data)
@@ -73,10 +73,13 @@ def train(
 
 
 def with_settings(words: Sequence[str]) -> Callable[..., None]:
-    """Return `train` with the settings of the preset that the words of a command line name, so that they are flags.
+    """Return `train` with the settings of the chosen preset as flags.
+
+    Args:
+        words: of the command line, which name model and preset or a configuration.
 
     Raises:
-        KeycldError: no such model or preset; `--config` names no configuration.
+        KeycldError: there is no such model, preset or configuration.
     """
     model, preset, path = (_value(words, name) for name in ("--model", "--preset", "--config"))
     if path is None:
@@ -104,7 +107,7 @@ def with_settings(words: Sequence[str]) -> Callable[..., None]:
 
 
 def _value(words: Sequence[str], flag: str) -> str | None:
-    """Return what follows a flag, as `--flag value` or `--flag=value`."""
+    """Return the value of a flag, from `--flag value` or `--flag=value`."""
     for word, following in zip(words, [*words[1:], ""], strict=True):
         if word == flag:
             return following

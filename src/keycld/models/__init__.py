@@ -1,4 +1,4 @@
-"""Models by name: what a config is, and the registry. Importable without JAX; `keycld.models.base` has the contract."""
+"""Configs of models, and the registry that finds them by name. Needs no JAX; `keycld.models.base` has the contract."""
 
 from keycld.models.config import ModelConfig as ModelConfig
 from keycld.models.registry import ModelEntry as ModelEntry

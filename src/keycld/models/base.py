@@ -1,4 +1,4 @@
-"""What every model offers, and what some can do besides, so that any model runs on any data and under any protocol."""
+"""The contract that every model fulfils, and the capabilities that some have: any model runs on any data set."""
 
 from abc import abstractmethod
 from typing import NamedTuple
@@ -25,13 +25,13 @@ class Prediction(NamedTuple):
 class AbstractModel(eqx.Module):
     """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches.
 
-    A model that can do more says so by its type: it also inherits from some of the interfaces below.
+    A model with more capabilities also inherits from some of the interfaces below.
     """
 
     @property
     @abstractmethod
     def context(self) -> int:
-        """The least number of consecutive frames that `infer` needs."""
+        """The smallest number of consecutive frames that `infer` needs."""
 
     @abstractmethod
     def anchor(self, n: int) -> int:
@@ -39,25 +39,29 @@ class AbstractModel(eqx.Module):
 
     @abstractmethod
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
-        """Estimate the state at frame `anchor(n)` from `n` consecutive frames in [0, 1] and the inputs meanwhile.
+        """Estimate the state at frame `anchor(n)` from `n` consecutive frames and the inputs between them.
 
         Args:
-            frames: consecutive frames, n ≥ `context`.
-            dt: seconds between them.
+            frames: consecutive frames in [0, 1], n ≥ `context`.
+            dt: seconds between frames.
             u: constant `[l]`, or `[≥ n − 1, l]` from the first of these frames on.
         """
 
     @abstractmethod
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
-        """Return the given state and the `steps` that follow it, stacked.
+        """Return the given state and the `steps` states that follow it, stacked.
 
-        `u` is `[l]`, constant, or `[steps, l]`. With negative `dt`, which only a `Reversible` model accepts, the motion
-        runs backward and the inputs, still in the order of time, are read in reverse.
+        Args:
+            state: the first state.
+            dt: seconds between states. Only a `Reversible` model accepts a negative one: then the motion runs
+                backward, and the inputs, which stay in the order of time, are read in reverse.
+            u: `[l]`, constant, or `[steps, l]`.
+            steps: number of states to add.
         """
 
     @abstractmethod
     def render(self, state: State) -> Float[Array, "H W 3"]:
-        """Render the picture of a state."""
+        """Render the frame of a state."""
 
     def predict(
         self,
@@ -70,7 +74,7 @@ class AbstractModel(eqx.Module):
         """Predict frames 0 … `length` − 1 of a trajectory from some of its frames and its inputs alone.
 
         The state inferred at the anchor is rolled out to the end, and back to frame 0. A model that is not `Reversible`
-        cannot tell what was before its anchor: there the given frames stand for themselves, and the anchor's state is
+        cannot predict frames before its anchor: there the given frames are returned, and the anchor's state is
         repeated.
 
         Args:
@@ -81,15 +85,15 @@ class AbstractModel(eqx.Module):
             first: number of the first given frame. Above 0 the model must be `Reversible`.
 
         Raises:
-            KeycldError: too few frames; a given frame that holds something not finite (outside of `jit`, where values
-                can be read); frames before the given ones are asked of a model that cannot run backward.
+            KeycldError: too few frames; a given frame with a value that is not finite (outside of `jit`, where values
+                can be read); `first` > 0 for a model that cannot run backward.
         """
         if frames.ndim != 4 or frames.shape[0] < self.context:
             raise KeycldError(
-                f"a prediction starts from {self.context} frames or more, [n, H, W, 3], not from {list(frames.shape)}."
+                f"a prediction needs {self.context} given frames or more, [n, H, W, 3], not {list(frames.shape)}."
             )
         if not isinstance(frames, Tracer):
-            # In NumPy: values known to the caller stay values inside of `jit` too.
+            # In NumPy, which can read the values of concrete arrays inside of `jit` too.
             bad = np.flatnonzero(~np.isfinite(np.asarray(frames)).all(axis=(1, 2, 3)))
             if bad.size:
                 raise KeycldError(f"given frame {bad[0]} holds NaN or infinity; give finite values in [0, 1].")
@@ -133,7 +137,7 @@ class Reversible(eqx.Module):
 
 
 class HasKeypoints(eqx.Module):
-    """A model whose state places named points in the image."""
+    """A model whose state holds named points in the image."""
 
     @abstractmethod
     def observe(self, frame: Float[Array, "H W 3"]) -> Observation:
@@ -145,11 +149,11 @@ class HasKeypoints(eqx.Module):
 
     @abstractmethod
     def at_rest(self, keypoints: Float[Array, "K 2"]) -> State:
-        """Return the state with these keypoints and without velocity; its constants are those of the keypoints."""
+        """Return the state with these keypoints and zero velocity; its constants are Φ of these keypoints."""
 
 
 class HasEnergies(eqx.Module):
-    """A model that knows kinetic and potential energy, up to one common factor and a constant."""
+    """A model with kinetic and potential energy, known up to one common factor and a constant."""
 
     @abstractmethod
     def kinetic_energy(self, state: State) -> Float[Array, ""]:
@@ -161,11 +165,11 @@ class HasEnergies(eqx.Module):
 
 
 class HasConstraints(eqx.Module):
-    """A model whose motion keeps constraints Φ at constants."""
+    """A model whose motion keeps its constraint functions Φ constant."""
 
     @abstractmethod
     def constraint_deviation(self, state: State) -> Float[Array, "n"]:
-        """Return Φ(x) − constants of the state, in the constraints' units; n may be 0."""
+        """Return Φ(x) minus the constants of the state, in the constraints' units; n may be 0."""
 
 
 class HasInputMatrix(eqx.Module):
@@ -177,10 +181,10 @@ class HasInputMatrix(eqx.Module):
 
 
 class HasLagrangian(HasEnergies, HasConstraints, HasInputMatrix):
-    """A model that is moved by a constrained Lagrangian in Cartesian coordinates, eq. (6); controllers shape it.
+    """A model whose dynamics are a constrained Lagrangian in Cartesian coordinates, eq. (6); controllers use it.
 
     Attributes:
-        dynamics: the law with its integrator, one step a frame.
+        dynamics: the law with its integrator, one step for each frame.
     """
 
     dynamics: eqx.AbstractVar[AbstractDynamics]

@@ -1,4 +1,4 @@
-"""What a preset of a model is: a frozen dataclass of settings that builds the model and its stages. Without JAX."""
+"""The config of a model: a frozen dataclass of settings that builds the model and its stages. Needs no JAX."""
 
 import abc
 import dataclasses
@@ -22,16 +22,16 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class ModelConfig(abc.ABC):
-    """Everything that decides a model and its training but data and seed; saved whole in a run's `config.json`.
+    """All settings of a model and its training, except data and seed; saved as a whole in a run's `config.json`.
 
     Every field has a default and one line of documentation, which `keycld train --help` prints. A field is a number, a
     bool, a string, None, a tuple of these, or another frozen dataclass of such fields.
     """
 
     RENAMED: ClassVar[Mapping[str, str]] = {}
-    """Names of weights in earlier versions, or their beginnings, with today's: renaming a field is an entry here."""
+    """Old prefixes of weight names, with the current ones: each renamed field has an entry here."""
     HALF: ClassVar[tuple[str, ...]] = ()
-    """Beginnings of the names of weights that a packaged model may hold in half precision."""
+    """Prefixes of the names of weights that a packaged model may hold in half precision."""
 
     model: Annotated[str, tyro.conf.Suppress]
     """Name of the model in the registry: see `keycld models`."""
@@ -39,35 +39,36 @@ class ModelConfig(abc.ABC):
     """Name of the recipe."""
 
     def __post_init__(self) -> None:
-        """Refuse numbers that are negative or not finite; a config that checks more calls this first."""
+        """Refuse numbers that are negative or not finite; a subclass with more checks calls this first."""
         _check_numbers(self, "")
 
     @property
     @abc.abstractmethod
     def context(self) -> int:
-        """How many frames a prediction starts from."""
+        """How many given frames a prediction needs."""
 
     @abc.abstractmethod
     def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractModel":
-        """Build the model with fresh weights."""
+        """Build the model with random initial weights."""
 
     @abc.abstractmethod
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return what is trained, in order."""
+        """Return the stages of the training, in order."""
 
     def completed(self, source: Any = None) -> "ModelConfig":
-        """Return the config with what it takes from the data set or system `source`, such as constraints.
+        """Return the config with what it takes from a data set or system, such as constraints.
 
-        Without a source a config completes itself with an example, enough to build and count.
+        Args:
+            source: the data set or system. None: an example, enough to build the model and count its parameters.
         """
         return self
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return settings that were saved under an earlier `schema_version` as those of today."""
+        """Return settings that were saved under an earlier `schema_version` in the current form."""
         return settings
 
     def settings(self) -> dict[str, Any]:
-        """Return all fields but model and preset as values of JSON."""
+        """Return all fields except model and preset as JSON values."""
         fields = json.loads(json.dumps(dataclasses.asdict(self)))
         return {name: value for name, value in fields.items() if name not in ("model", "preset")}
 
@@ -135,7 +136,7 @@ def _names(config: Any, prefix: str) -> list[str]:
 
 
 def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
-    """Return the error for a setting that does not exist; a name without its group finds the whole name."""
+    """Return the error for a setting that does not exist; for a name without its group it proposes the full name."""
     short = {choice.rpartition(".")[2]: choice for choice in reversed(choices)}
     near = difflib.get_close_matches(name.rpartition(".")[2], short, n=1, cutoff=0.8)
     if near and not difflib.get_close_matches(name, choices, n=1, cutoff=0.5):
@@ -146,7 +147,7 @@ def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
 
 
 def _checked(value: Any, old: Any, what: str) -> Any:
-    """Return the value in the type of the setting that it replaces."""
+    """Return the value, converted to the type of the setting that it replaces."""
     if old is None or isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
         return value
     if isinstance(old, tuple):

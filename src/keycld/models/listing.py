@@ -1,4 +1,4 @@
-"""What `keycld models` tells of each registered model."""
+"""The facts about each registered model that `keycld models` prints."""
 
 from typing import Any
 
@@ -10,13 +10,16 @@ from keycld.models.registry import models
 from keycld.models.scene import Scene
 
 EXAMPLE = Scene(height=32, width=32, inputs=0, frames=256, dt=0.05, trajectories=1000)
-"""The size at which parameters are counted; the second paper's."""
+"""Sizes of the data at which parameters are counted: those of "Which priors matter?"."""
 
 
 def listing(scene: Scene = EXAMPLE) -> list[dict[str, Any]]:
     """Return name, family, title, presets, capabilities and number of trained parameters of each model.
 
     Models are built in their default preset, as shapes only.
+
+    Args:
+        scene: sizes of the data at which parameters are counted.
     """
     rows = []
     for name, entry in models().items():

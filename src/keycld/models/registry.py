@@ -1,4 +1,4 @@
-"""Finds models and their presets by name: every folder of `keycld.models` and every entry point that registers some."""
+"""The registry of models and presets: each folder of `keycld.models` and each entry point registers its own."""
 
 import dataclasses
 import functools
@@ -18,13 +18,13 @@ C = TypeVar("C", bound=ModelConfig)
 
 @dataclasses.dataclass
 class ModelEntry:
-    """A model that can be asked for by name.
+    """A registered model.
 
     Attributes:
         name: such as `keycld` or `hgn`.
-        family: the folder, or the package, that it comes from.
-        title: what it is, in a line.
-        presets: its recipes by name.
+        family: the folder or the package that registers it.
+        title: one line about what it is.
+        presets: its configs by the name of the preset.
     """
 
     name: str
@@ -34,7 +34,7 @@ class ModelEntry:
 
     @property
     def default(self) -> str:
-        """The preset that is meant where none is named: `fast` where there is one, else the first."""
+        """The preset that is used where none is named: `fast` if there is one, else the first."""
         return DEFAULT_PRESET if DEFAULT_PRESET in self.presets else next(iter(self.presets))
 
 
@@ -42,7 +42,12 @@ _MODELS: dict[str, ModelEntry] = {}
 
 
 def register_model(name: str, *, family: str, title: str) -> None:
-    """Make a model known; its presets follow by `register_preset`.
+    """Register a model; `register_preset` then adds its presets.
+
+    Args:
+        name: of the model.
+        family: the folder or the package that it belongs to.
+        title: one line about what it is.
 
     Raises:
         KeycldError: another family has taken the name.
@@ -53,7 +58,7 @@ def register_model(name: str, *, family: str, title: str) -> None:
 
 
 def register_preset(preset: str, *models: str) -> Callable[[type[C]], type[C]]:
-    """Return a class decorator that makes a config class the preset of that name of some registered models."""
+    """Return a class decorator that registers a config class as the preset `preset` of some registered models."""
 
     def add(config: type[C]) -> type[C]:
         for model in models:
@@ -64,7 +69,7 @@ def register_preset(preset: str, *models: str) -> Callable[[type[C]], type[C]]:
 
 
 def find_presets(package: str) -> None:
-    """Import every module of a package, such as a family's `recipes`; each registers its presets."""
+    """Import every module of a package, such as a family's `recipes`, so that each registers its presets."""
     for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
         importlib.import_module(f"{package}.{module.name}")
 
@@ -98,12 +103,12 @@ def config_for(model: str = "keycld", preset: str | None = None, **settings: Any
     ```
 
     Args:
-        model: its name.
-        preset: name of its recipe; by default `fast`, or the first that the model has.
+        model: name of the model.
+        preset: name of its preset; by default `fast`, or the first that the model has.
         settings: as for `ModelConfig.changed`.
 
     Raises:
-        KeycldError: nobody has registered such a model, such a preset of it, or such a setting; names the nearest.
+        KeycldError: there is no such model, preset or setting; names the nearest one.
     """
     known = models()
     if model not in known:

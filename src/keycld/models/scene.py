@@ -1,19 +1,19 @@
-"""What a model must know of the data that it is built for."""
+"""The sizes of the data that a model is built for."""
 
 import dataclasses
 
 
 @dataclasses.dataclass(frozen=True)
 class Scene:
-    """Sizes of the training data; never anything measured on test data.
+    """Sizes of the training data; nothing in it comes from test data.
 
     Attributes:
-        height: of the pictures, pixels.
-        width: likewise.
+        height: height of a frame, pixels.
+        width: width of a frame, pixels.
         inputs: l, the number of inputs; 0 where nothing drives the motion.
-        frames: of a training trajectory.
+        frames: frames of a training trajectory.
         dt: seconds between frames.
-        trajectories: how many there are.
+        trajectories: number of training trajectories.
     """
 
     height: int

@@ -1,4 +1,4 @@
-"""A run's or a suite's figures and its page: reads stored results, needs neither the model nor its data."""
+"""Figures and pages of runs and suites, from stored results; they need neither the model nor its data."""
 
 from keycld.reports.control_figures import write_control_media as write_control_media
 from keycld.reports.report import write_report as write_report

@@ -1,4 +1,4 @@
-"""A closed-loop run as a movie, as a strip of pictures (the paper's Fig. 5) and as curves."""
+"""A closed-loop run as a movie, as a strip of pictures (Fig. 5 of arXiv v1) and as curves."""
 
 from pathlib import Path
 

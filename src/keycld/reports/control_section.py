@@ -1,4 +1,4 @@
-"""The part of the page on control: success, inputs, timing, and the first trial in pictures."""
+"""The section on control: successes, inputs, timing, and pictures of the first trial."""
 
 from typing import Any
 
@@ -17,13 +17,13 @@ _TITLES = {
 
 
 def control(run: Run) -> str:
-    """Return movie, strip and curves of each closed-loop run; nothing where there is none."""
+    """Return movie, strip and curves of each closed-loop run; an empty text without any."""
     if not run.controls:
         return ""
     note = (
-        "The learned energies close a loop: the camera’s picture gives keypoints, the learned dynamics turn them into "
-        "positions and velocities, and the controller drives the simulated system to the pose of one goal picture. It "
-        "never receives a true state. A trial is a success when the goal is kept during the whole last second."
+        "Each camera picture gives keypoints, the learned dynamics turn them into positions and velocities, and the "
+        "control law moves the simulated system to the pose of one goal picture. It never receives a true state. A "
+        "trial is a success if the goal is kept during the whole last second."
     )
     rows = [_row(result.scores) for result in run.controls.values()]
     head = ["control", "acting", "limit of u", "successes", "largest u", "step, median", "99th percentile", "misses"]
@@ -84,8 +84,8 @@ def _curves_caption(scores: dict[str, Any]) -> str:
     if "passivity" in scores:
         rise = 100 * scores["passivity"]["largest_rise_median"]
         words += (
-            f" In a passive loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % of its "
-            "largest value (median of trials). Mean learned mass: "
-            f"{html.number(scores['mean_mass'])}, an arbitrary scale that only the paper’s law depends on."
+            f" In a passive closed loop T + V<sub>d</sub> never rises; here its largest rise is {html.number(rise)} % "
+            "of its largest value (median of trials). Mean learned mass: "
+            f"{html.number(scores['mean_mass'])}; this scale is arbitrary, and only the law of the paper depends on it."
         )
     return words

@@ -1,4 +1,4 @@
-"""The figures of a run, from stored arrays."""
+"""Figures of a run from stored arrays."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,9 +15,9 @@ from keycld.evaluation import METRICS, Evaluation, headline_vpt, threshold_text
 
 
 def error_figure(result: Evaluation) -> Figure:
-    """Plot the error over time with a band of 10th to 90th percentile, baselines and threshold (the paper's Fig. 3).
+    """Plot the error over time with a band from 10th to 90th percentile, baselines and threshold (Fig. 3).
 
-    The mean image is left out: its squared error is ε.
+    The baseline "mean image" is left out, because its squared error is ε.
     """
     errors = _finite(result.errors)
     frames = np.arange(errors.shape[1])
@@ -36,14 +36,14 @@ def error_figure(result: Evaluation) -> Figure:
     metric = result.scores["metric"]
     limit = Limit(result.scores["threshold"], threshold_text(metric, next(iter(result.scores["vpt"]))))
     figure = curves_figure(curves, "frame", METRICS[metric], limits=[limit], logarithmic=True)
-    # Given frames of a baseline may be exact; a logarithmic axis should not stretch down to them.
+    # Given frames of a baseline may be exact; a logarithmic axis should not extend to them.
     floor = 0.3 * min(float(curve.y[curve.y > 0].min()) for curve in curves[:1])
     figure.axes[0].set_ylim(bottom=floor)
     return figure
 
 
 def vpt_figure(result: Evaluation) -> Figure:
-    """How many trajectories stay valid for how long, with the means of the model and of each baseline."""
+    """Plot the histogram of valid prediction times, with the means of the model and of the best baseline."""
     vpt = result.vpt
     first, stop = result.scores["part"]
     limits = [Limit(vpt["mean"], f"mean {vpt['mean']:.2f}", INK.text)]
@@ -61,7 +61,7 @@ def vpt_figure(result: Evaluation) -> Figure:
 
 
 def coordinate_figure(result: Evaluation) -> Figure:
-    """Error of each true position along the roll-out: median with a band of 10th to 90th percentile."""
+    """Plot the error of each true position along the roll-out: median with a band from 10th to 90th percentile."""
     errors = result.arrays["coordinate_error"]
     frames = np.arange(errors.shape[1])
     panels = []
@@ -73,7 +73,7 @@ def coordinate_figure(result: Evaluation) -> Figure:
 
 
 def energy_figure(result: Evaluation) -> Figure:
-    """Kinetic, potential and total energy along up to three roll-outs without input."""
+    """Plot kinetic, potential and total energy along up to three roll-outs without input."""
     time = result.arrays["time"]
     panels = []
     for n in range(min(3, len(result.arrays["free_kinetic"]))):
@@ -89,18 +89,18 @@ def energy_figure(result: Evaluation) -> Figure:
 
 
 def deviation_figure(result: Evaluation) -> Figure:
-    """Largest |Φ(x) − constants| of the roll-outs that are shown, over time."""
+    """Plot the largest |Φ(x) − constants| of the stored roll-outs over time."""
     deviation = np.maximum(result.arrays["deviation"].max(axis=0), 1e-9)
     curve = Curve(result.arrays["time"], deviation)
     return curves_figure([curve], "seconds", "|Φ(x) − constant|", logarithmic=True, size=(5.4, 2.5))
 
 
 def _finite(errors: np.ndarray) -> np.ndarray:
-    """Errors to draw: a diverged prediction stands at the largest finite error."""
+    """Return errors to plot: those of a diverged prediction become the largest finite error."""
     top = float(np.max(errors[np.isfinite(errors)], initial=1.0))
     return np.nan_to_num(errors, nan=top, posinf=top)
 
 
 def times_valid(result: Evaluation) -> np.ndarray:
-    """Return VPT of each trajectory in frames."""
+    """Return the VPT of each trajectory in frames."""
     return np.array(result.vpt["frames"])

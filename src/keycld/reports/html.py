@@ -1,4 +1,4 @@
-"""The few pieces of HTML that the page is made of; every function returns text."""
+"""The elements of a page; every function returns HTML as text."""
 
 import base64
 import html
@@ -18,17 +18,17 @@ _TYPES = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
 
 
 def text(value: Any) -> str:
-    """A value as text that HTML shows literally."""
+    """Return a value as text, escaped for HTML."""
     return html.escape(str(value))
 
 
 def data_uri(path: Path) -> str:
-    """A file's contents as an address, so that the page needs no other file."""
+    """Return the contents of a file as a data address, so that the page needs no other file."""
     return f"data:{_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"
 
 
 def image(frame: UInt8[np.ndarray, "H W 3"], description: str, kind: str = "pixels") -> str:
-    """A picture. `kind="pixels"` keeps its pixels square when the page enlarges it."""
+    """Return an image; `kind="pixels"` keeps its pixels sharp when the page enlarges it."""
     png = imageio.v3.imwrite("<bytes>", frame, extension=".png")
     address = f"data:image/png;base64,{base64.b64encode(png).decode()}"
     height, width, _ = frame.shape
@@ -36,9 +36,13 @@ def image(frame: UInt8[np.ndarray, "H W 3"], description: str, kind: str = "pixe
 
 
 def movie(path: Path, still: UInt8[np.ndarray, "H W 3"], fallback: Path | None, description: str) -> str:
-    """A silent movie that plays for ever, with a still as its poster.
+    """Return a silent movie that plays in a loop.
 
-    Where the browser cannot play H.264, `fallback` (a GIF) takes its place, or else the poster stays.
+    Args:
+        path: MP4 file.
+        still: frame that the browser shows before the movie plays.
+        fallback: GIF for browsers that cannot play H.264; without one they show the still.
+        description: for readers who do not see it.
     """
     png = imageio.v3.imwrite("<bytes>", still, extension=".png")
     poster = f"data:image/png;base64,{base64.b64encode(png).decode()}"
@@ -54,11 +58,11 @@ def movie(path: Path, still: UInt8[np.ndarray, "H W 3"], fallback: Path | None, 
 
 
 def chart(figure: Figure, name: str) -> str:
-    """A matplotlib figure as part of the page, in the page's colours and type."""
+    """Return a matplotlib figure as SVG in the colours and the font of the page."""
     svg = re.sub(r"<metadata>.*?</metadata>\s*", "", figure_svg(figure, name), flags=re.S)
     for role in ("text", "quiet", "line", "one", "two", "three", "four", "limit"):
         svg = svg.replace(getattr(INK, role), f"var(--{role})")
-    # `font: 9px 'DejaVu Sans', …, sans-serif`: keep the size, take the page's family.
+    # `font: 9px 'DejaVu Sans', …, sans-serif`: keep the size, replace the family.
     svg = re.sub(r"(font: [^'\";]*?px) [^;\"]*", r"\1 var(--sans)", svg)
     width = re.search(r'viewBox="0 0 ([\d.]+) ', svg)
     points = float(width.group(1)) if width else 400.0
@@ -72,33 +76,33 @@ def chart(figure: Figure, name: str) -> str:
 
 
 def figure(contents: str, caption: str = "", kind: str = "") -> str:
-    """Something with a caption below; the caption may hold HTML."""
+    """Return contents with a caption below, which may hold HTML."""
     below = f"<figcaption>{caption}</figcaption>" if caption else ""
     return f'<figure class="{kind}">{contents}{below}</figure>'
 
 
 def grid(items: Iterable[str], kind: str = "two") -> str:
-    """Things beside one another as far as the width allows."""
+    """Return items next to each other, as many in a row as the width allows."""
     return f'<div class="grid {kind}">{"".join(items)}</div>'
 
 
 def section(name: str, title: str, contents: str) -> str:
-    """A part of the page under a heading."""
+    """Return a section with a heading."""
     return f'<section id="{name}"><h2>{text(title)}</h2>{contents}</section>'
 
 
 def paragraph(contents: str, kind: str = "") -> str:
-    """A paragraph; may hold HTML."""
+    """Return a paragraph, which may hold HTML."""
     return f'<p class="{kind}">{contents}</p>'
 
 
 def missing(name: str, title: str, what: str) -> str:
-    """The one line that stands for a section whose results are not there."""
+    """Return the line that replaces a section without results."""
     return f'<p class="missing" id="{name}"><b>{text(title)}</b> is left out: {text(what)}.</p>'
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
-    """A table; cells may hold HTML, the first of a row is its heading."""
+    """Return a table; cells may hold HTML, and the first one of a row is its heading."""
     top = "".join(f'<th scope="col">{cell}</th>' for cell in head)
     body = "".join(
         f'<tr><th scope="row">{first}</th>' + "".join(f"<td>{cell}</td>" for cell in rest) + "</tr>"
@@ -109,7 +113,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") ->
 
 
 def pairs(values: Mapping[str, Any]) -> str:
-    """Names and values of a configuration, nested ones with their path."""
+    """Return a table of names and values of a configuration; nested names are dotted."""
     rows = "".join(f"<tr><th scope='row'>{text(name)}</th><td>{text(value)}</td></tr>" for name, value in _flat(values))
     return f'<div class="scroll"><table class="pairs"><tbody>{rows}</tbody></table></div>'
 
@@ -123,7 +127,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterable[tuple[str, An
 
 
 def bars(rows: Sequence[tuple[str, float, str]]) -> str:
-    """Horizontal bars from 0 to 1: label, value and the class that colours it."""
+    """Return horizontal bars from 0 to 1; each row is label, value and the class for its colour."""
     lines = "".join(
         f'<div class="bar {kind}"><span>{text(label)}</span><i><b style="width:{100 * value:.1f}%"></b></i>'
         f"<em>{value:.2f}</em></div>"
@@ -133,7 +137,7 @@ def bars(rows: Sequence[tuple[str, float, str]]) -> str:
 
 
 def number(value: float | None) -> str:
-    """A number with three digits, powers of ten written as such."""
+    """Return a number with three digits, with a power of ten where needed."""
     if value is None or not np.isfinite(value):
         return "not finite"
     shown = f"{value:.3g}"

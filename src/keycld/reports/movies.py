@@ -1,4 +1,4 @@
-"""Movies and sheets of the trajectories that an evaluation kept."""
+"""Movies and sheets of the trajectories that an evaluation stores."""
 
 from pathlib import Path
 
@@ -22,21 +22,21 @@ _TRAIL = 10
 
 
 def frames_per_second(result: Evaluation) -> float:
-    """Of the movies: real time, but at most 25 pictures a second."""
+    """Return the frame rate of the movies: real time, but at most 25 frames a second."""
     step = int(result.arrays["shown_index"][1] - result.arrays["shown_index"][0])
     real = 1.0 / (result.scores["dt"] * step)
     return min(25.0, real)
 
 
 def speed(result: Evaluation) -> str:
-    """How fast a movie plays, in words."""
+    """Return how fast a movie plays, in words."""
     step = int(result.arrays["shown_index"][1] - result.arrays["shown_index"][0])
     factor = frames_per_second(result) * result.scores["dt"] * step
     return "in real time" if abs(factor - 1.0) < 0.01 else f"{1.0 / factor:.3g} times slower than real time"
 
 
 def _panels(result: Evaluation, n: int, scale: int, *, wide: bool) -> np.ndarray:
-    """Truth, what the encoder sees in it (if `wide`), and the prediction, with a bar that shows validity."""
+    """Return frames with truth, heat maps of the truth (if `wide`) and prediction, and a bar that shows validity."""
     arrays = result.arrays
     truth, prediction = arrays["truth"][n], arrays["prediction"][n]
     panels = [enlarge(truth, scale)]
@@ -51,7 +51,10 @@ def _panels(result: Evaluation, n: int, scale: int, *, wide: bool) -> np.ndarray
 
 
 def headline_movie(folder: Path, result: Evaluation) -> str:
-    """The first trajectory: truth, heat maps, prediction. Writes media/prediction.mp4 and .gif."""
+    """Return the movie of the first trajectory: truth, heat maps, prediction.
+
+    Writes media/prediction.mp4 and .gif.
+    """
     frames = _panels(result, 0, 4, wide=True)
     path = folder / "media" / "prediction.mp4"
     save_movie(path, _held(frames), frames_per_second(result), scale=1)
@@ -62,7 +65,7 @@ def headline_movie(folder: Path, result: Evaluation) -> str:
 
 
 def trajectory_movies(folder: Path, result: Evaluation) -> list[str]:
-    """Each kept trajectory: truth beside prediction. Writes media/NAME-N.mp4."""
+    """Return a movie of each stored trajectory, truth next to prediction; writes media/NAME-N.mp4."""
     name = result.scores["protocol"]["name"]
     found = []
     for n in range(len(result.arrays["truth"])):
@@ -74,23 +77,23 @@ def trajectory_movies(folder: Path, result: Evaluation) -> list[str]:
 
 
 def _held(frames: np.ndarray) -> np.ndarray:
-    """The frames with the last one held for half a second, so that the eye finds the start again."""
+    """Return the frames with the last one repeated for half a second, so that the end of each loop is visible."""
     return np.concatenate([frames, np.repeat(frames[-1:], 12, axis=0)])
 
 
 def trajectory_sheet(folder: Path, result: Evaluation, n: int, every: int = 6) -> str:
-    """Every sixth frame, truth above prediction (the paper's Fig. 4). Writes media/sheet-N.png."""
+    """Return a sheet of every sixth frame, truth above prediction (Fig. 4); writes media/sheet-N.png."""
     rows = [result.arrays["truth"][n], result.arrays["prediction"][n]]
     picture = sheet(rows, every)
     save_image(folder / "media" / f"sheet-{n + 1}.png", enlarge(picture, 3))
     count = len(rows[0][::every])
     numbers = result.arrays["shown_index"][::every]
     heads = "".join(f"<span>{number}</span>" for number in numbers)
-    drawn = html.image(picture, f"Every {every}th frame of recording {n + 1}: truth above, prediction below")
+    image = html.image(picture, f"Every {every}th frame of recording {n + 1}: truth above, prediction below")
     return (
         f'<div class="sheet" style="--frames:{count}">'
         '<div class="rows"><span>truth</span><span>prediction</span></div>'
-        f'<div>{drawn}<div class="numbers">{heads}</div></div></div>'
+        f'<div>{image}<div class="numbers">{heads}</div></div></div>'
     )
 
 

@@ -1,4 +1,4 @@
-"""The frame of a page: style, the rule that nothing comes from elsewhere, and what moves."""
+"""The document of a page: style, script, and a policy that forbids requests."""
 
 from importlib import resources
 from pathlib import Path
@@ -6,10 +6,11 @@ from pathlib import Path
 from keycld._files import write_text
 from keycld.reports import html
 
-# The browser itself refuses everything that is not in the file.
+# The browser refuses everything that is not in the file.
 _POLICY = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 
-# Stops and starts a movie on a click, respects a wish for less motion, shows the GIF where H.264 is unknown.
+# A click pauses or plays a movie; movies do not play if the reader prefers less motion; the GIF replaces a movie
+# that the browser cannot play.
 _SCRIPT = """
 const calm = matchMedia("(prefers-reduced-motion: reduce)").matches;
 for (const video of document.querySelectorAll("video")) {
@@ -19,7 +20,7 @@ for (const video of document.querySelectorAll("video")) {
   const swap = () => {
     if (instead && instead.classList.contains("instead")) { video.hidden = true; instead.hidden = false; }
   };
-  // The browser may have given up before this line is reached.
+  // The browser may have refused the movie before this line runs.
   if (video.networkState === HTMLMediaElement.NETWORK_NO_SOURCE) swap();
   video.querySelector("source").addEventListener("error", swap);
 }
@@ -27,13 +28,13 @@ for (const video of document.querySelectorAll("video")) {
 
 
 def write_page(path: Path, title: str, body: str, footer: str) -> Path:
-    """Write one HTML file that opens in any browser and asks the network for nothing; returns its path.
+    """Write one HTML file that needs no other file and no network; return its path.
 
     Args:
-        path: of the page.
-        title: of the browser's window.
+        path: file to write.
+        title: title of the window.
         body: HTML.
-        footer: HTML, what wrote the page and from what.
+        footer: HTML, the command that wrote the page and its sources.
 
     Raises:
         KeycldError: it cannot be written.

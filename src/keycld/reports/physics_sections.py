@@ -1,4 +1,4 @@
-"""The parts of the page on what was learned: keypoints, energies, constraints, masses."""
+"""The sections on the learned physics: keypoints, energies, constraints, masses."""
 
 from keycld.benchmarks import grid_pictures, potential_figures
 from keycld.drawing import save_figure, save_image
@@ -7,27 +7,27 @@ from keycld.reports.run import Run
 
 
 def observation(run: Run) -> str:
-    """From a picture to keypoints and back (Fig. 1)."""
+    """Show frames, their keypoints and the frames rendered from these (Fig. 1)."""
     result = run.headline
     if result is None or "observed_keypoints" not in result.arrays:
         return html.missing("observation", "What the model sees", "a model without keypoints")
     note = (
-        "A given frame of the first recordings, what the observer makes of it, and the picture that the renderer draws "
-        "from the keypoints alone: nothing else passes. Compare Fig. 1 of the paper."
+        "A given frame of the first recordings, its heat maps and keypoints, and the frame rendered from the keypoints "
+        "alone. Compare Fig. 1 of the paper."
     )
-    drawn = html.figure(movies.observation_sheet(run.folder, result), "One recording a row.")
-    return html.section("observation", "What the model sees", html.paragraph(note) + drawn)
+    pictures = html.figure(movies.observation_sheet(run.folder, result), "One recording in each row.")
+    return html.section("observation", "What the model sees", html.paragraph(note) + pictures)
 
 
 def keypoints(run: Run) -> str:
-    """What the keypoints know of the true state."""
+    """Show how well the keypoints determine the true state."""
     result = run.headline
     if result is None or "state" not in result.scores:
-        return html.missing("state", "What the keypoints know", "no true states, or a model without keypoints")
+        return html.missing("state", "Keypoints and the true state", "no true states, or a model without keypoints")
     state = result.scores["state"]
     pixel = 2.0 / (min(result.arrays["truth"].shape[2:4]) - 1)
     rows = [
-        ["seen in a picture", html.number(state["residual"]), f"{state['residual'] / pixel:.2f}"],
+        ["observed in a frame", html.number(state["residual"]), f"{state['residual'] / pixel:.2f}"],
         ["predicted, all frames", html.number(state["rollout"]), _pixels(state["rollout"], pixel)],
         ["predicted, last frame", html.number(state["rollout_last"]), _pixels(state["rollout_last"], pixel)],
     ]
@@ -37,21 +37,19 @@ def keypoints(run: Run) -> str:
         f"{html.text(each['name'])} {_with_unit(each['last_median'], each['unit'])}" for each in state["coordinates"]
     )
     note = (
-        "The model was never told where anything is. An affine map from its keypoints to the true "
-        "positions of "
-        f"{html.text(' and '.join(state['landmarks']))}, fitted on validation pictures, tells how much they "
-        "know. "
-        f"Median error of the true coordinates at the last frame: {last}."
+        "True states are no part of the training. The error of an affine map from the keypoints to the true positions "
+        f"of {html.text(' and '.join(state['landmarks']))}, fitted on validation frames, measures how well the "
+        f"keypoints determine them. Median error of the true coordinates at the last frame: {last}."
     )
     return html.section(
         "state",
-        "What the keypoints know",
+        "Keypoints and the true state",
         html.paragraph(note)
         + html.grid(
             [
                 html.figure(
                     html.chart(chart, "state"),
-                    "Error of the true coordinates along the predictions: median, 10th to 90th percentile.",
+                    "Error of the true coordinates along the predictions: median and 10th to 90th percentile.",
                 ),
                 html.table(["root mean square distance", "image units", "pixels"], rows, "scores"),
             ]
@@ -72,7 +70,7 @@ def _percent(part: float | None) -> str:
 
 
 def potential(run: Run) -> str:
-    """The learned potential energy over the configuration (Fig. 8 to 12)."""
+    """Show the learned potential energy over the configuration (Figs. 8 to 12)."""
     if run.sweeps is None:
         return html.missing("potential", "Learned potential energy", "no sweeps are stored, or the model has no energy")
     charts, wide = [], []
@@ -85,17 +83,14 @@ def potential(run: Run) -> str:
             save_image(run.folder / "media" / f"potential-{name}-pictures.png", grid)
             pictures = html.image(grid, f"Pictures of the grid of {varied}")
             wide.append(html.figure(drawn, f"V over every combination of {varied}."))
-            wide.append(html.figure(pictures, "What the encoder saw there, every other row and column."))
+            wide.append(html.figure(pictures, "The frames of this grid, every other row and column."))
         else:
             charts.append(html.figure(drawn, f"V as {varied} changes, all else at rest."))
     note = (
-        "Nobody gave the model an energy: it found one that explains the motion. Each picture below was "
-        "read by the "
-        "encoder, and V evaluated at its keypoints. Only the shape counts; V is known up to a constant "
-        "and, together "
-        "with masses and inputs, up to one factor. All curves share one scale, so a flat line says that "
-        "gravity does "
-        "not act along that coordinate. Compare Fig. 8 to 12 of the paper."
+        "The model learned the potential energy from the motion alone. V is evaluated at the keypoints that the model "
+        "observes in each frame. Only its shape has a meaning: V is known up to a constant and, together with masses "
+        "and inputs, up to one factor. All curves have the same scale, so a flat line means that gravity does not act "
+        "along that coordinate. Compare Figs. 8 to 12 of the paper."
     )
     return html.section(
         "potential", "Learned potential energy", html.paragraph(note) + "".join(charts) + html.grid(wide)
@@ -103,7 +98,7 @@ def potential(run: Run) -> str:
 
 
 def conservation(run: Run) -> str:
-    """Energies along roll-outs without input, and the constraints' deviation."""
+    """Show energies along roll-outs without input, and the deviation from the constraints."""
     if run.headline is None or "drift" not in run.headline.scores:
         return html.missing("energy", "Energy along a roll-out", "the model has no energies")
     result = (run.long or [run.headline])[-1]
@@ -112,33 +107,31 @@ def conservation(run: Run) -> str:
     drift = result.scores["drift"]
     horizon = result.scores["protocol"]["horizon"]
     note = (
-        "Without input nothing is added or lost, so kinetic plus potential energy should stay level. Over "
-        f"{horizon} "
-        f"frames the total changes by {_percent(drift['energy']['mean'])} of the energy that "
-        "moves "
-        f"(worst {_percent(drift['energy']['worst'])})."
+        "Without input no energy is added or lost, so kinetic plus potential energy should stay constant. Over "
+        f"{horizon} frames the total changes by {_percent(drift['energy']['mean'])} of the largest kinetic "
+        f"energy (worst {_percent(drift['energy']['worst'])})."
     )
     parts = [
         html.figure(
             html.chart(energies, "energy"),
-            "Energies of the model’s own motion, in its own unit; V from its lowest.",
+            "Energies of the predicted motion, in the model’s own unit; the lowest V is 0.",
         )
     ]
     if "constraint" in drift:
         worst = drift["constraint"]["worst"]
         kept = worst is not None and worst < 1e-6
-        note += f" The constraints, such as the length of a rod, are kept within {html.number(worst)}"
-        note += ", the rounding of single precision." if kept else "."
+        note += f" The constraints, such as the length of a rod, hold within {html.number(worst)}"
+        note += ", the rounding error of single precision." if kept else "."
     if "deviation" in result.arrays and not kept:
         deviation = figures.deviation_figure(result)
         save_figure(run.folder / "media" / "constraint.png", deviation)
-        caption = "How far the predicted motion leaves the constraints."
+        caption = "Deviation of the predicted motion from the constraints."
         parts.append(html.figure(html.chart(deviation, "constraint"), caption))
     return html.section("energy", "Energy along a roll-out", html.paragraph(note) + "".join(parts))
 
 
 def masses(run: Run) -> str:
-    """The learned masses as ratios."""
+    """Show the learned masses as ratios."""
     if run.headline is None or not run.headline.scores.get("masses"):
         return html.missing("masses", "Learned masses", "the model has none")
     scores = run.headline.scores
@@ -150,14 +143,12 @@ def masses(run: Run) -> str:
         for name, value in zip(names, values, strict=True)
     ]
     note = (
-        "Multiply all masses, the potential energy and the input forces by one number and every motion "
-        "stays the same. "
-        "Video can therefore tell ratios only. A point mass also stands in for a whole rigid part, so its "
-        "share need not "
-        "be that of the material."
+        "All masses, the potential energy and the input forces can be multiplied by one number without a change of the "
+        "motion, so a video determines only their ratios. A point mass also replaces a whole rigid part, so its share "
+        "need not be that of the material."
     )
     if len(values) == 1:
-        note += " With a single keypoint there is no ratio to learn: its mass only sets the unit."
+        note += " With a single keypoint there is no ratio; its mass only sets the unit."
         return html.section("masses", "Learned masses", html.paragraph(note))
     head = ["keypoint", f"mass relative to {html.text(names[0])}", "share"]
     return html.section("masses", "Learned masses", html.paragraph(note) + html.table(head, rows, "scores"))

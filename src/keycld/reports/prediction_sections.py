@@ -1,4 +1,4 @@
-"""The parts of the page on predictions: the head, movies, sheets, scores, longer horizons."""
+"""The sections on predictions: head of the page, movies, sheets, scores, longer horizons."""
 
 from typing import Any
 
@@ -11,22 +11,22 @@ from keycld.reports import figures, html, movies
 from keycld.reports.run import Run
 
 _EXCEEDS = {
-    "squared": "is further from the truth than a still picture would be on average (mean squared error above ε)",
+    "squared": "is further from the truth than the mean picture is on average (mean squared error above ε)",
     "normalised": "is too far from the truth (normalised error above 0.025)",
 }
 _ABOVE = {
-    "squared": "Above the dashed ε a prediction is worth less than a still picture.",
+    "squared": "Above the dashed ε a prediction is worse than the mean picture.",
     "normalised": "The dashed line is the threshold.",
 }
 
 
 def vpt_sentence(metric: str) -> str:
-    """Return what the valid prediction time is."""
+    """Return the definition of the valid prediction time."""
     return f"Valid prediction time is the share of the scored frames before the predicted picture {_EXCEEDS[metric]}."
 
 
 def head(run: Run) -> str:
-    """Write the title, what was done in one sentence, the headline number next to its baselines, the first movie."""
+    """Show the title, a summary in one sentence, the headline score next to its baselines, and the first movie."""
     config = run.config
     system = str(config.get("system", "a system"))
     facts = [
@@ -63,7 +63,7 @@ def _contents(run: Run) -> str:
         "sheets": "frames",
         "scores": "scores",
         "long": "longer horizons",
-        "observation": "what it sees",
+        "observation": "what the model sees",
         "state": "keypoints",
         "potential": "potential energy",
         "energy": "conservation",
@@ -78,7 +78,7 @@ def _contents(run: Run) -> str:
 def _first_movie(run: Run, result: Evaluation) -> str:
     columns = ["what happened", "what the model predicted"]
     if "heat_maps" in result.arrays:
-        columns.insert(1, "where it sees keypoints")
+        columns.insert(1, "where the model sees keypoints")
     labels = "".join(f"<span>{label}</span>" for label in columns)
     caption = (
         f"{_legend(result)} The first recording of the file, {movies.speed(result)}. "
@@ -122,7 +122,7 @@ def _headline(run: Run, result: Evaluation) -> str:
 
 
 def trajectories(run: Run) -> str:
-    """Show movies of the recordings that were kept."""
+    """Show movies of the stored recordings."""
     result = run.headline
     if result is None:
         return ""
@@ -148,7 +148,7 @@ def _input(result: Evaluation, n: int) -> str:
 
 
 def frame_sheets(run: Run) -> str:
-    """Show two recordings frame by frame, as Fig. 4."""
+    """Show two recordings frame by frame, as in Fig. 4."""
     result = run.headline
     if result is None:
         return ""
@@ -159,7 +159,7 @@ def frame_sheets(run: Run) -> str:
 
 
 def accuracy(run: Run) -> str:
-    """Show the error over time, the histogram of VPT, and the scores next to the baselines'."""
+    """Show the error over time, the histogram of VPT, and the scores next to those of the baselines."""
     result = run.headline
     if result is None:
         return ""
@@ -169,7 +169,7 @@ def accuracy(run: Run) -> str:
     captions = (
         "Error of the predicted pictures over time: mean of all recordings, with a band from the 10th to the 90th "
         f"percentile. {_ABOVE[result.scores['metric']]}",
-        f"For how long each of the {result.scores['n']} recordings was predicted validly.",
+        f"Valid prediction times of the {result.scores['n']} recordings.",
     )
     charts = [
         html.figure(html.chart(error, "error"), captions[0]),
@@ -177,13 +177,13 @@ def accuracy(run: Run) -> str:
     ]
     return html.section(
         "scores",
-        "How long predictions hold",
+        "How long predictions are valid",
         html.grid(charts) + _score_table(result) + _definitions(result) + _other_protocols(run),
     )
 
 
 def _other_protocols(run: Run) -> str:
-    """Write one line for each protocol: recordings released from rest are easier than motions taken up."""
+    """Show one line for each protocol; recordings released from rest are easier than those of later motion."""
     if len(run.evaluations) < 2:
         return ""
     rows = []
@@ -224,13 +224,13 @@ def _definitions(result: Evaluation) -> str:
     each = "; ".join(f"<b>{name}</b> {known[name]}" for name in result.scores["baselines"] if name in known)
     return html.paragraph(
         f"ε = {html.number(result.scores['epsilon'])}, from the validation set. "
-        f"What knows nothing of motion scores too: {each}. The paper’s numbers are of 20 validation recordings.",
+        f"Baselines without a model of the motion: {each}. The paper’s scores are those of 20 validation recordings.",
         "note",
     )
 
 
 def long_horizons(run: Run) -> str:
-    """Show scores, curves and movies of recordings longer than those of the headline."""
+    """Show scores, curves and movies of recordings longer than that of the headline score."""
     if not run.long:
         return html.missing("long", "Longer horizons", "no evaluation on longer recordings is stored")
     rows = []

@@ -1,4 +1,4 @@
-"""One HTML page that shows a run: no other file, no network."""
+"""The page of a run."""
 
 from pathlib import Path
 
@@ -23,11 +23,10 @@ _SECTIONS = (
 
 
 def write_report(run_folder: str | Path) -> Path:
-    """Write `report.html` into a run folder, and its movies and figures into `media/`; returns the page's
-    path.
+    """Write `report.html` into a run folder, and its movies and figures into `media/`; return the path of the page.
 
-    Reads stored results only: `config.json`, `environment.json`, `metrics.jsonl` and `evaluation/`. A
-    section whose results are missing is replaced by one line that says so.
+    It reads stored results only: `config.json`, `environment.json`, `metrics.jsonl` and `evaluation/`. A line replaces
+    each section whose results are missing.
 
     Raises:
         KeycldError: it is not a run folder, a stored file is damaged, or the folder cannot be written.

@@ -1,4 +1,4 @@
-"""What a run folder holds, as far as it is there."""
+"""The stored results of a run folder; any of them may be missing."""
 
 import json
 from dataclasses import dataclass
@@ -20,9 +20,9 @@ class Run:
         config: `config.json`.
         environment: `environment.json`, {} if absent.
         metrics: the lines of `metrics.jsonl`, [] if absent.
-        evaluations: by name, those of `evaluation/*.json` that score a protocol; shortest horizon first.
+        evaluations: the files of `evaluation/*.json` with scores under a protocol, by name; shortest horizon first.
         sweeps: potential energies along paths, None if absent.
-        controls: by name, the controlled flights.
+        controls: closed-loop runs by name.
     """
 
     folder: Path
@@ -35,7 +35,7 @@ class Run:
 
     @property
     def headline(self) -> Evaluation | None:
-        """The evaluation that the page opens with: unseen recordings at the paper's horizon where there are any."""
+        """The evaluation at the top of the page: test recordings at the paper's horizon, if there are any."""
         if not self.evaluations:
             return None
         unseen = [each for each in self.evaluations.values() if each.scores["protocol"]["split"] == "test"]
@@ -43,7 +43,7 @@ class Run:
 
     @property
     def long(self) -> list[Evaluation]:
-        """The evaluations on longer recordings than the headline's, shortest first."""
+        """The evaluations on longer recordings than that of the headline, shortest first."""
         if self.headline is None:
             return []
         least = self.headline.scores["protocol"]["horizon"]
@@ -84,7 +84,7 @@ def _json(path: Path) -> dict[str, Any]:
 
 
 def _lines(path: Path) -> list[dict[str, Any]]:
-    """The lines that are whole: a killed run may leave half of one."""
+    """Return the complete lines of a file; a killed run may leave an incomplete one."""
     found = []
     for line in path.read_text().splitlines() if path.exists() else ():
         try:

@@ -1,4 +1,4 @@
-"""The parts of the page on the run itself: training, configuration, how to reproduce it."""
+"""The sections on the run itself: training, configuration, how to reproduce it."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from keycld.reports.training_figure import terms, training_figure
 
 
 def training(run: Run) -> str:
-    """Curves from metrics.jsonl."""
+    """Show curves from metrics.jsonl."""
     figure = training_figure(run.metrics)
     if figure is None:
         return html.missing("training", "Training", "metrics.jsonl is absent or empty")
@@ -30,17 +30,19 @@ def training(run: Run) -> str:
         if len(lines) == 1
     ]
     if once:
-        note += f" Noted once: {', '.join(once)}."
-    chart = html.figure(html.chart(figure, "training"), "Loss terms and scores; hairlines where a stage begins.")
+        note += f" Measured once: {', '.join(once)}."
+    chart = html.figure(
+        html.chart(figure, "training"), "Loss terms and scores; a hairline is the first step of a stage."
+    )
     return html.section("training", "Training", html.paragraph(note) + chart)
 
 
 def reproduction(run: Run) -> str:
-    """The command, the configuration and the environment."""
+    """Show the command, the configuration and the environment."""
     parts = []
     command = run.config.get("command")
     if command:
-        parts.append(html.paragraph("The same machine and versions give the same bits."))
+        parts.append(html.paragraph("On the same machine and with the same versions this command gives the same bits."))
         program, *arguments = str(command).split(" ")
         parts.append(f"<pre><code>{html.text(' '.join([Path(program).name, *arguments]))}</code></pre>")
     rest = {name: value for name, value in run.config.items() if name != "command"}

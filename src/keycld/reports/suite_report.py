@@ -1,4 +1,4 @@
-"""One HTML page that shows a suite of experiments: tables, errors over time, sheets and movies of all models."""
+"""The page of a suite of experiments: tables, errors over time, sheets and movies of all models."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -24,8 +24,8 @@ from keycld.reports.page import write_page
 
 _HORIZON_NOTE = (
     "Valid prediction time is the share of the frames before the predicted picture is, for the first time, further "
-    "from the truth than a still picture would be on average. Behind ± stands the standard deviation over training "
-    "seeds, their number in brackets. Scores without brackets do not depend on a seed. The paper’s were measured on 20 "
+    "from the truth than the mean picture is on average. ± gives the standard deviation over training seeds, with "
+    "their number in brackets. Scores without brackets do not depend on a seed. The paper’s scores are those of 20 "
     "validation recordings."
 )
 
@@ -104,7 +104,7 @@ def _errors(experiments: Sequence[Experiment], place: Place) -> str:
             charts.append(html.figure(html.chart(figure, f"error-{protocol.name}"), caption))
     note = (
         "Mean squared error of the predicted pictures, mean over recordings and seeds, with a band from the 10th to "
-        "the 90th percentile of the recordings. Above the dashed ε a prediction is worth less than a still picture. "
+        "the 90th percentile of the recordings. Above the dashed ε a prediction is worse than the mean picture. "
         "Compare Fig. 3 of the paper."
     )
     return html.section("errors", "Error over time", html.paragraph(note) + "".join(charts))
@@ -126,7 +126,7 @@ def _movies(drawn: Illustrations) -> str:
         return html.missing("movies", "Side by side", "none of the run folders is there")
     moving = []
     for k, each in enumerate(drawn.pictures):
-        # A GIF is large: one is enough to show movement where H.264 is unknown.
+        # A GIF is large, so only the first movie has one, for browsers that cannot play H.264.
         fallback = each.movie.with_suffix(".gif") if k == 0 else None
         label = f"Truth and all models on {each.gallery.label}, moving"
         moving.append(html.figure(html.movie(each.movie, movie_of(each.gallery)[-1], fallback, label), _caption(each)))

@@ -1,4 +1,4 @@
-"""Training curves from the lines of metrics.jsonl."""
+"""Training curves from metrics.jsonl."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -12,7 +12,7 @@ _NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
 
 
 def terms(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
-    """The lines that hold each loss term or score, by its name: the total loss first, scores last."""
+    """Return the lines with each loss term or score, by its name: the total loss first, scores last."""
     found: dict[str, list[Mapping[str, Any]]] = {}
     for line in metrics:
         for name, value in line.items():
@@ -22,7 +22,7 @@ def terms(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, A
 
 
 def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
-    """Every term that was noted more than once over minutes, stage boundaries as hairlines; None without any."""
+    """Plot each term with more than one value over minutes, with stage boundaries as hairlines; None without any."""
     series = {name: lines for name, lines in terms(metrics).items() if len(lines) > 1}
     if not series:
         return None
@@ -42,7 +42,7 @@ def _minutes(line: Mapping[str, Any]) -> float:
 
 
 def _curve(lines: Sequence[Mapping[str, Any]], name: str) -> Curve:
-    """A term over minutes, with a gap where a stage begins unless the stages have one number each."""
+    """Return a term over minutes, with gaps between stages, unless each stage has one value."""
     minutes, values = [], []
     repeated = len(lines) > len({line.get("stage") for line in lines})
     for before, line in zip([lines[0], *lines], lines, strict=False):
@@ -55,7 +55,7 @@ def _curve(lines: Sequence[Mapping[str, Any]], name: str) -> Curve:
 
 
 def _stage_marks(metrics: Sequence[Mapping[str, Any]]) -> list[tuple[float, str]]:
-    """Where each stage begins, with its name unless that would run into the one before."""
+    """Return the first minute of each stage, with its name if that does not overlap the one before."""
     span = max(_minutes(line) for line in metrics)
     marks, seen, free = [], None, -np.inf
     for line in metrics:

@@ -1,4 +1,4 @@
-"""What a part of a training is, as data: sampler, loss, trainable groups, optimiser, schedule."""
+"""Stages of a training as data: sampler, loss, trainable groups, optimiser, schedule."""
 
 from keycld.stages.losses import AbstractLoss as AbstractLoss
 from keycld.stages.losses import AbstractStatefulLoss as AbstractStatefulLoss

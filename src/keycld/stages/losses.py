@@ -1,4 +1,4 @@
-"""What a stage minimises."""
+"""Interfaces of the losses that stages minimise."""
 
 from abc import abstractmethod
 from typing import Any
@@ -12,19 +12,26 @@ Terms = dict[str, Float[Array, ""]]
 
 
 class AbstractLoss(eqx.Module):
-    """A scalar to minimise and its terms by name, for a batch of clips; the loss itself applies `vmap`."""
+    """A scalar to minimise, and its terms by name, for a batch of clips; the loss itself applies `vmap`."""
 
     @abstractmethod
     def __call__(
         self, model: Any, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluate the loss; `key` and `step` are the randomness and the number of the stage's step."""
+        """Return the loss and its terms.
+
+        Args:
+            model: with the parameters of this step.
+            clips: a batch.
+            key: for the randomness of this step.
+            step: number of the step in its stage.
+        """
 
 
 class AbstractStatefulLoss(eqx.Module):
-    """A loss with a state of its own that no gradient trains, such as the multiplier of GECO.
+    """A loss with a state that no gradient trains, such as the multiplier of GECO.
 
-    The state belongs to the stage: it starts anew with it, is part of every checkpoint, and changes at every step.
+    The state belongs to the stage: each stage has its own, which changes at every step. Checkpoints hold it.
     """
 
     @abstractmethod
@@ -35,4 +42,12 @@ class AbstractStatefulLoss(eqx.Module):
     def __call__(
         self, model: Any, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""], memory: Any
     ) -> tuple[Float[Array, ""], Terms, Any]:
-        """Evaluate the loss with the state `memory`; return the scalar, its terms and the next state."""
+        """Return the loss, its terms and the next state.
+
+        Args:
+            model: with the parameters of this step.
+            clips: a batch.
+            key: for the randomness of this step.
+            step: number of the step in its stage.
+            memory: the state.
+        """

@@ -1,4 +1,4 @@
-"""Optimisers and schedules that recipes choose from, besides those of optax."""
+"""Optimisers and schedules for stages, in addition to those of optax."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,17 +9,24 @@ from optax import contrib
 
 
 def warmup_cosine(rate: float, steps: int, *, warmup: float = 0.05, final: float = 0.02) -> optax.Schedule:
-    """Rise linearly over the first `warmup` part of the steps, then fall along half a cosine to `final · rate`."""
+    """Return a schedule that rises linearly from 0 to `rate`, then falls along half a cosine to `final · rate`.
+
+    Args:
+        rate: peak learning rate.
+        steps: steps of the stage.
+        warmup: share of the steps in which the rate rises.
+        final: the last rate, as a share of `rate`.
+    """
     rise = max(1, round(warmup * steps))
     return optax.warmup_cosine_decay_schedule(0.0, rate, rise, max(steps, rise + 1), final * rate)
 
 
 def muon(schedule: optax.Schedule, *, dense: bool = True) -> optax.GradientTransformation:
-    """Muon for kernels, Adam for everything else.
+    """Return Muon for kernels and Adam for all other parameters.
 
     The momentum of a kernel, as a matrix from its inputs to its outputs, is replaced by the nearest orthogonal
-    matrix, with the root mean square that an update of Adam has. Measured on our U-Nets: the reconstruction error
-    that Adam reaches after 600 steps after about 200, at the same cost a step.
+    matrix, scaled to the root mean square of an update of Adam. Measured on our U-Nets: after about 200 steps the
+    reconstruction error that Adam reaches after 600, at the same cost of a step.
 
     Args:
         schedule: learning rate by step. Good peak rates: 5e-3 to 1e-2.
@@ -39,9 +46,12 @@ def muon(schedule: optax.Schedule, *, dense: bool = True) -> optax.GradientTrans
 
 
 def forgetful(optimiser: Callable[[optax.Schedule], optax.GradientTransformation]):
-    """Return an optimiser that starts from an empty state at every step: the fault of KeyCLD's released code.
+    """Return an optimiser that drops its state at every step, as KeyCLD's released code does by mistake.
 
-    With Adam the update is then close to −rate · sign(gradient), whatever the gradient's size.
+    With Adam the update is then close to −rate · sign(gradient), for any size of the gradient.
+
+    Args:
+        optimiser: makes an optax transformation from a schedule.
     """
 
     def make(schedule: optax.Schedule) -> optax.GradientTransformation:

@@ -1,4 +1,4 @@
-"""A recipe is a list of stages; a stage says what is sampled, what is minimised and what may change."""
+"""Stages, the parts of a recipe: what is sampled, what is minimised and which parameters are trained."""
 
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping
@@ -18,13 +18,13 @@ MakeOptimiser = Callable[[optax.Schedule], optax.GradientTransformation]
 
 @dataclasses.dataclass(frozen=True)
 class Group:
-    """Parameters that are trained alike.
+    """Parameters that are trained in the same way.
 
     Attributes:
         name: for messages and the optimiser's state.
-        where: selects them: a function from the model to one of its parts, such as `lambda m: m.dynamics`.
-        rate: their learning rate; zero freezes them.
-        optimiser: makes an optax transformation from a schedule; None: the stage's own.
+        where: selects the parameters: a function from the model to its parts, such as `lambda m: m.dynamics`.
+        rate: their peak learning rate; zero freezes them.
+        optimiser: makes an optax transformation from a schedule; None: the one of the stage.
     """
 
     name: str
@@ -38,22 +38,21 @@ class Stage:
     """One part of a training run.
 
     Attributes:
-        name: appears in the progress, the metrics and the checkpoints' names.
+        name: for the progress bar, the metrics and the names of checkpoints.
         steps: optimiser steps.
         sampler: samples the clips of a step.
         loss: what is minimised.
-        groups: what is trained, and how fast. Of two groups that hold a parameter the later one counts; what none
-            holds stays as it is.
+        groups: the trained parameters with their rates. If two groups hold the same parameter, the later one counts;
+            parameters in no group are not trained.
         optimiser: makes an optax transformation from a learning-rate schedule.
         schedule: makes that schedule from the peak rate and the number of steps.
         clip: largest global norm of a gradient; larger ones are scaled down to it. None: unlimited.
-        prepare: changes the model and adds to the resident data before the first step: statistics, cached keypoints, a
+        prepare: changes the model and the resident data before the first step: statistics, cached keypoints, a
             least-squares fit.
-        candidates: in a first stage, how many random initialisations are tried.
-        trial: for so many steps each; the one with the lowest loss continues from there.
-        warn: what to tell the user when the stage has ended, from the model and the last logged terms; None where all
-            is well.
-        validate: score the validation set when the stage has ended.
+        candidates: number of random initialisations to try; only for a first stage.
+        trial: steps of each of these trials; the one with the lowest loss continues.
+        warn: returns a warning for the user after the last step, or None, from the model and the last logged terms.
+        validate: whether the validation set is scored after the last step.
     """
 
     name: str
@@ -71,7 +70,7 @@ class Stage:
     validate: bool = False
 
     def labels(self, model: eqx.Module) -> list[str | None]:
-        """Return for every leaf of the model the name of its group, None where nothing is trained.
+        """Return the name of the group of each leaf of the model, None where it is not trained.
 
         Raises:
             KeycldError: a group matches no parameter.
@@ -95,7 +94,7 @@ class Stage:
         return names
 
     def trainable(self, model: eqx.Module) -> Any:
-        """Return a pytree of the model's shape: True at every leaf that this stage trains."""
+        """Return a pytree with the structure of the model: True at each leaf that this stage trains."""
         return jax.tree.unflatten(jax.tree.structure(model), [name is not None for name in self.labels(model)])
 
     def transformation(self, model: eqx.Module) -> optax.GradientTransformation:

@@ -1,4 +1,4 @@
-"""The one training loop: checkpoints, run folder, trackers. It knows configs, scenes and stages, and no family."""
+"""Training: the loop, checkpoints, run folder, trackers. It uses configs, scenes and stages, and knows no family."""
 
 from keycld.training.pretrained import load_model as load_model
 from keycld.training.pretrained import pack as pack

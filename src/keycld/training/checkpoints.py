@@ -1,4 +1,4 @@
-"""Checkpoints that survive a killed process: written under a temporary name, fsynced, renamed. Arrays have names."""
+"""Checkpoints that survive a killed process: written under a temporary name, fsynced, renamed; arrays by name."""
 
 import json
 import os
@@ -27,12 +27,12 @@ def save_checkpoint(
 
     Args:
         folder: the run folder.
-        name: of the checkpoint.
+        name: name of the checkpoint.
         weights: the model; its arrays go to `weights.safetensors` by name.
-        state: what else training needs, such as the optimiser's state: a pytree whose arrays go to
+        state: a pytree with the rest of the training's state, such as the optimiser's; its arrays go to
             `state.safetensors`.
-        position: what remains, as values of JSON: stage, step, …
-        keep: how many checkpoints stay; older ones are deleted after the new one is safe.
+        position: stage, step and so on, as JSON values.
+        keep: number of checkpoints to keep; older ones are deleted after the new one is on the disk.
 
     Raises:
         KeycldError: the disk is full or the folder may not be written; the previous checkpoint is intact.
@@ -46,7 +46,7 @@ def save_checkpoint(
         save_arrays(temporary / WEIGHTS, weights)
         save_arrays(temporary / STATE, state)
         write_text(temporary / "position.json", json.dumps(position, indent=1))
-        # A killed process may have written this very step already; it holds the same bits.
+        # A killed process may have written the checkpoint of this step already; it holds the same bits.
         if final.exists():
             shutil.rmtree(temporary)
         else:
@@ -83,7 +83,7 @@ def read_position(checkpoint: Path) -> dict[str, Any]:
 
 
 def named_arrays(tree: PyTree) -> dict[str, np.ndarray]:
-    """Return all arrays of a pytree by their place in it, such as `dynamics.law.mass.root`."""
+    """Return all arrays of a pytree by their path in it, such as `dynamics.law.mass.root`."""
     return {name: np.asarray(leaf) for name, leaf in _named(tree) if _is_array(leaf)}
 
 
@@ -97,9 +97,9 @@ def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = No
     """Return `like` with the arrays of a file in place of its own.
 
     Args:
-        path: what `save_arrays` wrote.
+        path: a file that `save_arrays` wrote.
         like: a pytree whose arrays, or `jax.ShapeDtypeStruct`s, give names and shapes.
-        renamed: today's name, or its beginning, by that of earlier versions.
+        renamed: prefixes of names in earlier versions, with the current ones.
 
     Raises:
         KeycldError: the file is missing or damaged, or lacks an array or holds one of another shape.
@@ -108,27 +108,18 @@ def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = No
         saved = load_file(path)
     except (OSError, SafetensorError, ValueError) as error:
         raise KeycldError(f"{path} is missing or damaged ({error}): train again into a new --out.") from error
-    return fill(saved, like, f"{path} does not fit this model", renamed)
-
-
-def fill(
-    saved: Mapping[str, np.ndarray], like: PyTree, problem: str, renamed: Mapping[str, str] | None = None
-) -> PyTree:
-    """Return `like` with arrays by name in place of its own, in the types of its own.
-
-    Raises:
-        KeycldError: begins with `problem`; an array is missing, is not the model's, or has another shape.
-    """
-    arrays = {_today(name, renamed or {}): value for name, value in saved.items()}
+    arrays = {_current(name, renamed or {}): value for name, value in saved.items()}
     wanted = {name: leaf for name, leaf in _named(like) if _is_array(leaf)}
     for name in {**wanted, **arrays}:
         if name not in arrays or name not in wanted:
             what = "is missing" if name not in arrays else "belongs to nothing"
-            raise KeycldError(f"{problem}: '{name}' {what}; use the keycld that wrote it, or train again.")
+            raise KeycldError(
+                f"{path} does not fit this model: '{name}' {what}; use the keycld that wrote it, or train again."
+            )
         if arrays[name].shape != wanted[name].shape:
             raise KeycldError(
-                f"{problem}: '{name}' has the shape {list(arrays[name].shape)}, not {list(wanted[name].shape)}; train "
-                "again into a new --out."
+                f"{path} does not fit this model: '{name}' has the shape {list(arrays[name].shape)}, not "
+                f"{list(wanted[name].shape)}; train again into a new --out."
             )
     leaves = [jnp.asarray(arrays[name], leaf.dtype) if _is_array(leaf) else leaf for name, leaf in _named(like)]
     return jax.tree.unflatten(jax.tree.structure(like), leaves)
@@ -143,7 +134,7 @@ def _is_array(leaf: Any) -> bool:
     return isinstance(leaf, (jax.Array, np.ndarray, jax.ShapeDtypeStruct))
 
 
-def _today(name: str, renamed: Mapping[str, str]) -> str:
+def _current(name: str, renamed: Mapping[str, str]) -> str:
     for old in sorted(renamed, key=len, reverse=True):
         if name.startswith(old):
             return renamed[old] + name.removeprefix(old)

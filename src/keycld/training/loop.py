@@ -1,4 +1,4 @@
-"""The one training loop: stages in order, checkpoints, metrics, resume."""
+"""The training loop: stages in order, checkpoints, metrics, resume."""
 
 import dataclasses
 import functools
@@ -22,7 +22,7 @@ from keycld.training.step import Progress, begin, diagnose, make_step
 from keycld.training.trackers import Tracker
 
 Validate = Callable[[AbstractModel], dict[str, float]]
-# (rest, data), progress → progress, terms: so many steps in one dispatch.
+# (rest, data), progress → progress, terms: several steps in one dispatch.
 Run = Callable[[tuple[Any, Resident], Progress], tuple[Progress, dict[str, Any]]]
 
 
@@ -59,13 +59,28 @@ def train_stages(
     validate: Validate,
     renamed: Mapping[str, str],
 ) -> AbstractModel:
-    """Train through all stages and leave a checkpoint at each end; resume where the folder's latest one is.
+    """Train all stages, with a checkpoint at the end of each; resume from the latest checkpoint in the folder.
 
-    A checkpoint holds weights, the optimiser's and the loss's state, what a stage has cached, and the step. The
-    randomness of a step is a function of seed, stage and step number, and so is the part of the data that is resident:
-    a resumed run takes the same steps, bit for bit.
+    A checkpoint holds weights, the states of optimiser and loss, the cached values of a stage, and the step. The
+    randomness of a step is a function of seed, stage and step number, and so is the resident part of the data: a
+    resumed run takes the same steps, bit for bit.
 
-    `fresh(k)` is an untrained model with its k-th random weights; `renamed` as in `load_arrays`.
+    Args:
+        fresh: `fresh(k)` returns an untrained model with the k-th random weights.
+        stages: the recipe.
+        source: training data.
+        folder: run folder.
+        seed: of all randomness.
+        steps_per_dispatch: optimiser steps in one compiled call.
+        checkpoint_seconds: time between checkpoints.
+        log_every: steps between lines of `metrics.jsonl`.
+        keep: number of checkpoints to keep.
+        tracker: gets the metrics too.
+        validate: returns the scores of a model on the validation set.
+        renamed: as in `load_arrays`.
+
+    Raises:
+        KeycldError: a loss or gradient is not finite; a checkpoint is damaged or cannot be written.
     """
     model = fresh(0)
     before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
@@ -107,7 +122,7 @@ def train_stages(
         save_checkpoint(folder, name, model, _state(data, progress), position, keep)
 
     def record(number: int, done: int, values: dict[str, float]) -> None:
-        """Write one line of the log, with what the training has cost so far."""
+        """Write one line of the log, with the cost of the training so far."""
         step = before[number] + done
         cost = {"seconds": round(clock.seconds, 2), "cpu_seconds": round(clock.cpu_seconds, 2), "frames": clock.frames}
         metrics.write(step=step, stage=stages[number].name, **cost, **values)
@@ -170,36 +185,36 @@ def train_stages(
 def _best(
     stage: Stage, models: list[AbstractModel], data: Resident, compiled: Callable[[int], Run], steps_per_dispatch: int
 ) -> tuple[Progress, Any, Resident]:
-    """The stage's first state; with several models, of the one whose loss is lowest after the stage's trial."""
+    """Return the initial state of the stage; of several models, the state of the best one after the stage's trial."""
     found = []
     for model in models:
-        prepared, seen = (model, data) if stage.prepare is None else stage.prepare(model, data)
+        prepared, resident = (model, data) if stage.prepare is None else stage.prepare(model, data)
         progress, rest = begin(stage, prepared)
         if len(models) == 1:
-            return progress, rest, seen
+            return progress, rest, resident
         losses, trial = [], min(stage.trial, stage.steps)
         for done in range(0, trial, steps_per_dispatch):
-            progress, terms = compiled(min(steps_per_dispatch, trial - done))((rest, seen), progress)
+            progress, terms = compiled(min(steps_per_dispatch, trial - done))((rest, resident), progress)
             losses.extend(np.asarray(terms["loss"]))
-        # The last third: one batch says little.
+        # The mean over the last third, because the loss of one batch is noisy.
         score = float(np.mean(losses[-(trial // 3) :]))
         sound = bool(progress.healthy) and np.isfinite(score)
-        found.append((score if sound else np.inf, progress, rest, seen))
-    _, progress, rest, seen = min(found, key=lambda candidate: candidate[0])
-    return progress, rest, seen
+        found.append((score if sound else np.inf, progress, rest, resident))
+    _, progress, rest, resident = min(found, key=lambda candidate: candidate[0])
+    return progress, rest, resident
 
 
 def _clips(stage: Stage, data: Resident) -> tuple[bool, int]:
-    """Return whether the stage's clips hold cached values, and how many pictures of a step pass through networks.
+    """Return whether the stage's clips hold cached values, and the number of frames that a step passes to networks.
 
-    Cached values belong to the trajectories that were resident when the stage began, so those stay for the stage.
+    Cached values belong to the trajectories that are resident at the first step, so these stay for the whole stage.
     """
     clips = eqx.filter_eval_shape(stage.sampler, data, jax.random.key(0), jax.numpy.array(0))
     return clips.frames is None, 0 if clips.frames is None else int(np.prod(clips.frames.shape[:2]))
 
 
 def _moved(old: Resident, new: Resident) -> Resident:
-    """Return the new resident trajectories; with what was cached of the old ones if they are the same."""
+    """Return the new resident trajectories; the old ones with their cached values if they are the same."""
     return old if old.image is new.image else new
 
 
@@ -208,6 +223,6 @@ def _with_cached(data: Resident, cached: Any) -> Resident:
 
 
 def _state(data: Resident, progress: Progress | None) -> dict[str, Any]:
-    """Return what a checkpoint holds besides weights."""
+    """Return the part of a checkpoint that is not weights."""
     inner = (None, ()) if progress is None else (progress.optimiser, progress.memory)
     return {"optimiser": inner[0], "memory": inner[1], "cached": data.cached}

@@ -1,30 +1,33 @@
-"""Memory that one training step frees serves the next one."""
+"""Reuse of freed memory between training steps."""
 
 import ctypes
 import sys
 
-# Of glibc's malloc.h: bytes of free memory at a heap's end that are handed back; bytes by which a heap grows; from how
-# many bytes on an array is no part of a heap.
+# Options of glibc's malloc.h: free bytes at the end of a heap above which memory is returned to the system; bytes by
+# which a heap grows; size from which an array gets memory outside of the heap.
 _TRIM_THRESHOLD, _TOP_PAD, _MMAP_THRESHOLD = -1, -2, -3
 
 
 def keep_freed_memory(keep: bool = True) -> bool:
-    """Let glibc keep freed memory instead of handing it back to the system; whether there is a glibc to tell.
+    """Let glibc keep freed memory instead of returning it to the system.
 
-    On a CPU XLA allocates the arrays of a step anew each time. By default glibc hands them back after the step, and the
-    next one gets them page by page and zeroed: 9,000 page faults and an eighth of a step's time (`benches/memory.py`).
-    The numbers stay the same, bit for bit; the process stays as large as it ever was.
+    On a CPU, XLA allocates the arrays of each step anew. By default glibc returns them to the system after the step,
+    and the next step gets them page by page and zeroed: 9,000 page faults, an eighth of the time of a step
+    (`benches/memory.py`). Results are the same, bit for bit; the process keeps its largest size.
 
     Args:
-        keep: false: as glibc does by default.
+        keep: false restores the default of glibc.
+
+    Returns:
+        whether the C library is glibc and accepted the options.
     """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform.startswith("linux") else None
     if mallopt is None:
         return False
-    usual = 2**17
-    told = [
-        mallopt(_MMAP_THRESHOLD, 2**30 if keep else usual),
-        mallopt(_TRIM_THRESHOLD, 2**31 - 1 if keep else usual),
-        mallopt(_TOP_PAD, 2**28 if keep else usual),
+    default = 2**17
+    accepted = [
+        mallopt(_MMAP_THRESHOLD, 2**30 if keep else default),
+        mallopt(_TRIM_THRESHOLD, 2**31 - 1 if keep else default),
+        mallopt(_TOP_PAD, 2**28 if keep else default),
     ]
-    return all(told)
+    return all(accepted)

@@ -24,7 +24,7 @@ from keycld.training.checkpoints import (
 from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.train import blank_model, load_run
 
-# Data of the package, no part of a room.
+# Data of the package.
 _SHELF = Path(__file__).parent.parent / "weights"
 
 
@@ -34,12 +34,14 @@ def pretrained() -> tuple[str, ...]:
 
 
 def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
-    """Return a trained model and its configuration, by the name of one in the package or from a run folder.
+    """Return a trained model and its configuration.
 
-    A run folder of that name in the working directory comes first.
+    Args:
+        run: a run folder, or the name of a model in the package. A run folder of that name in the working directory
+            comes first.
 
     Raises:
-        KeycldError: for neither, or for damaged files.
+        KeycldError: it is neither, or a file is damaged.
     """
     if not _is_packaged(run):
         return load_run(run)
@@ -53,10 +55,16 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
 
 
 def run_folder(run: str | Path) -> Path:
-    """Return the folder of a run; for a model in the package `runs/NAME-pretrained`, made where it is missing.
+    """Return the folder of a run; for a model in the package `runs/NAME-pretrained`, which is made if it is missing.
 
-    So evaluations, reports and control have a place of their own for a model that was not trained here. What was made
-    with another version of it is moved aside, to `NAME-pretrained.HASH`.
+    Evaluations, reports and control results of a packaged model go there. If that folder belongs to another version of
+    the model, it is renamed to `NAME-pretrained.HASH` first.
+
+    Args:
+        run: a run folder, or the name of a model in the package.
+
+    Raises:
+        KeycldError: it is neither.
     """
     if not _is_packaged(run):
         folder = Path(run)
@@ -72,7 +80,7 @@ def run_folder(run: str | Path) -> Path:
         else:
             aside = aside_of(folder, before[:8])
             folder.rename(aside)
-            print(f"another version of the model {run} was at work in {folder}: moved to {aside}", file=sys.stderr)
+            print(f"{folder} holds results of another version of the model {run}: moved to {aside}", file=sys.stderr)
         model, config = load_model(run)
         open_run(folder, config)
         shutil.copy(_SHELF / str(run) / "metrics.jsonl", folder / "metrics.jsonl")
@@ -85,15 +93,18 @@ def run_folder(run: str | Path) -> Path:
 
 
 def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
-    """Put a trained run on the shelf under its system's name.
+    """Add a trained run to the models of the package, under the name of its system.
 
-    Weights that the model's config allows it for (`ModelConfig.HALF`) become half precision, which changes a frame by
-    less than a grey level; what decides the motion stays as it is.
+    The weights that `ModelConfig.HALF` names become half precision, which changes a frame by less than a grey level;
+    the weights of the dynamics keep single precision.
 
     Args:
-        run: run folder, trained to its end.
+        run: run folder of a finished training.
         card: the model's card, Markdown.
-        shelf: where; by default in the package itself.
+        shelf: the folder to add to; by default that of the package.
+
+    Returns:
+        the new folder.
     """
     model, config = load_run(run)
     half, folder = config.model_config().HALF, (shelf or _SHELF) / config.system
@@ -103,7 +114,7 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
         for name, value in named_arrays(model).items()
     }
     save_arrays(folder / WEIGHTS, weights)
-    # What was typed may name folders of the machine; this trains the same.
+    # The recorded command may name folders of the machine; this one trains the same model.
     command = f"keycld train {config.system} --model {config.model} --preset {config.preset} --seed {config.seed}"
     plain = dataclasses.replace(config, command=command)
     (folder / "config.json").write_text(json.dumps(dataclasses.asdict(plain), indent=1) + "\n")

@@ -1,4 +1,4 @@
-"""What a long training tells the person who waits: a bar on a terminal, plain lines elsewhere."""
+"""Progress of long work: a bar on a terminal, plain lines elsewhere."""
 
 import math
 import sys
@@ -6,10 +6,10 @@ import time
 
 
 class Bar:
-    """One line a stage with speed and time left.
+    """A line with progress, speed and time left.
 
-    On a terminal the line is redrawn at most ten times a second; elsewhere a plain line appears at
-    first, every `every` seconds and at the end.
+    On a terminal the line is updated at most ten times a second. Elsewhere a plain line is printed at the first call,
+    every `every` seconds and at the end.
     """
 
     def __init__(self, name: str, total: int, *, every: float = 15.0, stream=None):
@@ -21,19 +21,25 @@ class Bar:
         self._since: tuple[float, int] | None = None
 
     def show(self, done: int, unit_rate: float, text: str) -> None:
-        """`done` steps of the total are done, at `unit_rate` frames a second."""
+        """Update the line.
+
+        Args:
+            done: steps done of the total.
+            unit_rate: frames a second.
+            text: what follows on the line.
+        """
         now = time.monotonic()
-        # The first steps also compile, or were done before this process: time left is told by what comes after them.
+        # The first steps also compile, or were done by another process: the time left is estimated from later ones.
         if self._since is None:
             self._since = now, done
         last = done >= self._total
         if now - self._shown < self._pause and not last:
             return
         self._shown = now
-        begin, first = self._since
+        since, first = self._since
         left = ""
         if last or done > first:
-            left = f"  {_clock((now - begin) / max(done - first, 1) * (self._total - done))} left"
+            left = f"  {_clock((now - since) / max(done - first, 1) * (self._total - done))} left"
         filled = round(20 * done / max(self._total, 1))
         bar = "█" * filled + "·" * (20 - filled)
         line = f"{self._name:12s} {bar} {done}/{self._total}  {unit_rate:6.0f} frames/s{left}  {text}"
@@ -44,17 +50,17 @@ class Bar:
 
 
 class Counted:
-    """A `progress(done, total)` callback for frames that shows a bar; its clock starts before anything compiles."""
+    """A `progress(done, total)` callback for frames that shows a bar; its time includes compilation."""
 
     def __init__(self, name: str):
-        self._name, self._begin = name, time.monotonic()
+        self._name, self._since = name, time.monotonic()
         self._bar: Bar | None = None
 
     def __call__(self, done: int, total: int) -> None:
-        """So many frames of the total are done."""
+        """Show that `done` of `total` frames are done."""
         if self._bar is None:
             self._bar = Bar(self._name, total)
-        self._bar.show(done, done / max(time.monotonic() - self._begin, 1e-9), "")
+        self._bar.show(done, done / max(time.monotonic() - self._since, 1e-9), "")
 
 
 def _clock(seconds: float) -> str:

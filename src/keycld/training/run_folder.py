@@ -19,23 +19,23 @@ SCHEMA_VERSION = 2
 
 @dataclasses.dataclass(frozen=True)
 class RunConfig:
-    """Everything that decides a run; `config.json` holds it and `--config` reads it back.
+    """The whole configuration of a run; `config.json` holds it and `--config` reads it back.
 
     Attributes:
         data: folder of the data set.
         data_hash: checksum of its training file.
-        system: what moves.
-        model: name of what is trained.
-        preset: name of its recipe.
+        system: name of the system.
+        model: name of the model.
+        preset: name of its preset.
         settings: all fields of the preset's config.
-        seed: of weights, data order and everything else.
-        scene: sizes, so that a model can be rebuilt without the data.
-        input_names: names of the inputs in the data, where the data name them.
+        seed: of weights, data order and all other randomness.
+        scene: sizes of the data, so that the model can be built without them.
+        input_names: names of the inputs, if the data name them.
         epsilon: ε, the threshold of the validation set, eq. (16).
         steps_per_dispatch: optimiser steps in one compiled call (1 on a CPU).
-        checkpoint_seconds: between checkpoints.
-        command: what was typed.
-        schema_version: of this file; older ones are migrated on reading.
+        checkpoint_seconds: time between checkpoints.
+        command: the command line of the run.
+        schema_version: version of this file's format; earlier ones are migrated on reading.
     """
 
     data: str
@@ -70,7 +70,11 @@ class RunConfig:
 
 
 def open_run(folder: Path, config: RunConfig) -> None:
-    """Make the run folder, or checks that the one that is there belongs to the same configuration."""
+    """Make the run folder, or check that an existing one has the same configuration.
+
+    Raises:
+        KeycldError: it has another configuration, or cannot be written.
+    """
     path = folder / "config.json"
     if path.exists():
         old, new = read_config(folder).decides(), config.decides()
@@ -87,7 +91,7 @@ def open_run(folder: Path, config: RunConfig) -> None:
             )
         return
     write_text(folder / "environment.json", json.dumps(environment(), indent=1))
-    # Last, because its presence says that the folder is a run's.
+    # Last, because this file marks the folder as that of a run.
     write_text(path, json.dumps(dataclasses.asdict(config), indent=1))
 
 
@@ -101,10 +105,10 @@ def read_config(folder: Path) -> RunConfig:
 
 
 def parse_config(path: Path) -> RunConfig:
-    """Return the configuration in a run's `config.json`, migrated to today's schema.
+    """Return the configuration in a run's `config.json`, migrated to the current schema.
 
     Raises:
-        KeycldError: there is none, or it is damaged or of a later version.
+        KeycldError: the file is missing, damaged or of a later version.
     """
     try:
         saved = json.loads(path.read_text())
@@ -125,7 +129,7 @@ def parse_config(path: Path) -> RunConfig:
 
 
 def _from_schema_1(saved: dict[str, Any]) -> dict[str, Any]:
-    """Return a configuration of schema 1, where constraints and keypoints were KeyCLD's alone, in that of schema 2."""
+    """Return a configuration of schema 1, which had constraints and keypoints outside of the settings, in schema 2."""
     known = {name: saved[name] for name in (f.name for f in dataclasses.fields(RunConfig)) if name in saved}
     scene = {name: value for name, value in saved["scene"].items() if name != "keypoints"} | {"dt": saved["dt"]}
     config = config_for(saved["model"], saved["preset"])
@@ -141,7 +145,7 @@ def _from_schema_1(saved: dict[str, Any]) -> dict[str, Any]:
 
 
 def environment() -> dict[str, Any]:
-    """Versions and the machine, for the record."""
+    """Return versions, machine and commit, for the record."""
     import jax
 
     packages = ("keycld", "jax", "jaxlib", "equinox", "optax", "diffrax", "numpy", "mujoco")
@@ -163,10 +167,10 @@ def environment() -> dict[str, Any]:
 
 
 class Metrics:
-    """`metrics.jsonl`: one JSON object a line, appended; lines beyond a checkpoint are dropped on resume."""
+    """The file `metrics.jsonl`: one JSON object on each line; lines after a checkpoint are dropped on resume."""
 
     def __init__(self, folder: Path, step: int):
-        """Opens the file and drops lines after `step`, which the resumed run will write again."""
+        """Open the file and drop the lines after `step`, which the resumed run writes again."""
         self._path = folder / "metrics.jsonl"
         lines = []
         if self._path.exists():
@@ -175,11 +179,11 @@ class Metrics:
                     if json.loads(line)["step"] <= step:
                         lines.append(line)
                 except ValueError:
-                    continue  # the line a kill cut in two
+                    continue  # an incomplete line of a killed process
         write_text(self._path, "".join(line + "\n" for line in lines))
 
     def write(self, **values: Any) -> None:
-        """Appends one line."""
+        """Append one line."""
         with self._path.open("a") as file:
             file.write(json.dumps(values) + "\n")
 
@@ -198,7 +202,7 @@ def _processor() -> str:
 
 
 def _commit() -> str | None:
-    """Of the checkout that this file belongs to; None for an installed package, or without git."""
+    """Return the commit of the checkout that this file belongs to; None for an installed package or without git."""
     here = Path(__file__).parent
 
     def git(*words: str) -> str:

@@ -1,4 +1,4 @@
-"""One optimiser step, and several in one dispatch, as a compiled function without Python in the loop."""
+"""Optimiser steps, one or several in a dispatch, as a compiled function."""
 
 import functools
 from collections.abc import Callable
@@ -16,10 +16,15 @@ from keycld.stages import AbstractStatefulLoss, Stage
 
 
 class Progress(NamedTuple):
-    """What a step changes: trained parameters, the optimiser's state, the loss's state, the step number, and a flag.
+    """The values that a step changes.
 
-    `memory` is () where the loss has no state. `healthy` turns False at the first step whose loss or gradient is not
-    finite; from then on nothing changes, so that the parameters of that step are still there to be examined.
+    Attributes:
+        parameters: the trained parameters.
+        optimiser: the optimiser's state.
+        memory: the loss's state; () where it has none.
+        step: number of the next step.
+        healthy: False from the first step on whose loss or gradient is not finite. Then nothing changes any more, so
+            that `diagnose` can examine the parameters of that step.
     """
 
     parameters: Any
@@ -30,7 +35,7 @@ class Progress(NamedTuple):
 
 
 def begin(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
-    """Return the state at the stage's first step, and the part of the model that the stage leaves alone."""
+    """Return the progress at the stage's first step, and the part of the model that the stage does not train."""
     parameters, rest = eqx.partition(model, stage.trainable(model))
     # A copy, because a step donates its buffers and the caller may still hold the model.
     parameters = jax.tree.map(jnp.copy, parameters)
@@ -43,14 +48,22 @@ def begin(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
 def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: int) -> Callable:
     """Compile `steps` optimiser steps of a stage into one function.
 
-    `run((rest, data), progress) -> (progress, terms)`; terms are stacked over the steps and the buffers of the given
-    progress are used again.
+    One step in a dispatch is right on a CPU, where XLA runs convolutions inside a loop on a single thread without its
+    fast kernels (measured twenty times slower). On a GPU several steps hide the time of the launch.
 
-    One step a dispatch is right on a CPU: XLA runs convolutions inside a loop there on a single thread without its
-    fast kernels (measured twenty times slower). On a GPU several steps hide the launch.
+    Args:
+        stage: what is trained.
+        number: its number in the recipe, for the random keys.
+        seed: of the run.
+        model: a model with the structure of the trained one.
+        steps: optimiser steps of one call.
+
+    Returns:
+        `run((rest, data), progress) -> (progress, terms)`. Terms are stacked over the steps. The buffers of the given
+        progress are donated.
     """
     transformation = stage.transformation(model)
-    # Arguments, not constants of the program: another seed, or a stage that differs in nothing else, need not compile.
+    # Arguments, not constants, of the program: another seed or an equal stage does not compile again.
     keys = step_keys(seed, number)
 
     def one(progress: Progress, keys: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
@@ -76,10 +89,18 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
 
 
 def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
-    """Name the step, the loss terms and the parameters that were not finite; `progress` is of that step."""
+    """Return an error that names the step, the loss terms and the parameters that are not finite.
+
+    Args:
+        stage: the stage that failed.
+        number: its number in the recipe.
+        seed: of the run.
+        progress: at the step that failed.
+        rest: the part of the model that the stage does not train.
+        data: the resident data.
+    """
     clip_key, loss_key = step_keys(seed, number)
     clips = stage.sampler(data, clip_key, progress.step)
-
     key = jax.random.fold_in(loss_key, progress.step)
     compiled = eqx.filter_jit(functools.partial(_gradient, stage))
     (_, (terms, _)), gradient = compiled(rest, clips, key, progress)
@@ -97,7 +118,7 @@ def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any
 
 
 def step_keys(seed: int, stage: int) -> tuple[Array, Array]:
-    """Return two keys of a stage: one samples the clips, one is the loss's own. A step folds its number in."""
+    """Return two keys of a stage, for its sampler and for its loss; each step folds its number into them."""
     key = jax.random.fold_in(jax.random.key(seed), stage + 1)
     clips, loss = jax.random.split(key)
     return clips, loss

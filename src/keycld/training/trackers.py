@@ -1,4 +1,4 @@
-"""Optional experiment trackers; `metrics.jsonl` is always written."""
+"""Experiment trackers, which are optional; `metrics.jsonl` is always written."""
 
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -13,14 +13,23 @@ class Tracker(Protocol):
     """Receives scalars by name."""
 
     def log(self, step: int, values: dict[str, float]) -> None:
-        """Values at an optimiser step, counted over all stages."""
+        """Record values at an optimiser step, counted over all stages."""
 
     def close(self) -> None:
-        """The run has ended."""
+        """End the recording."""
 
 
 def make_tracker(name: str, folder: Path, config: dict[str, Any]) -> Tracker:
-    """A tracker by name; KeycldError when its package is not installed."""
+    """Return a tracker by name.
+
+    Args:
+        name: one of `TRACKERS`.
+        folder: run folder; its name is that of the run.
+        config: for the tracker's record.
+
+    Raises:
+        KeycldError: there is no such tracker, or its package is not installed.
+    """
     if name not in TRACKERS:
         raise unknown("tracker", name, TRACKERS)
     if name == "none":
@@ -41,13 +50,13 @@ class _Silent:
 
 
 class _Dashboard:
-    """wandb, or trackio, which offers the same calls."""
+    """The trackers wandb and trackio, which have the same functions."""
 
     def __init__(self, name: str, folder: Path, config: dict[str, Any]):
         import importlib
 
         self._module = importlib.import_module(name)
-        self._run = self._module.init(project="keycld", name=folder.name, config=config)
+        self._module.init(project="keycld", name=folder.name, config=config)
 
     def log(self, step: int, values: dict[str, float]) -> None:
         self._module.log(values, step=step)

@@ -1,4 +1,4 @@
-"""From a data set and a preset to a trained model in a run folder."""
+"""Training of a model on a data set, with its results in a run folder; loading of trained models."""
 
 import contextlib
 import dataclasses
@@ -24,8 +24,8 @@ from keycld.training.memory import keep_freed_memory
 from keycld.training.run_folder import RunConfig, open_run, read_config
 from keycld.training.trackers import make_tracker
 
-# Trajectories whose predictions are scored when a stage has ended.
-_WATCHED = 100
+# Largest number of trajectories in the validation score.
+_VALIDATED = 100
 
 
 def train(
@@ -39,24 +39,27 @@ def train(
     log_every: int = 25,
     keep: int = 2,
 ) -> AbstractModel:
-    """Train a model and leave everything in the folder `out`; the same call resumes a killed run.
+    """Train a model and write all results to the folder `out`; the same call resumes a killed run.
 
     Args:
         data: name of a system whose data set is under `data/`, or the folder of any data set.
         out: run folder.
-        config: what is trained and how, by default `config_for("keycld", "fast")`.
+        config: the model and its training; by default `config_for("keycld", "fast")`.
         seed: of weights and data order. Same seed, machine and settings: same bits.
         track: `"none"`, `"wandb"`, `"trackio"` or `"tensorboard"`.
-        checkpoint_seconds: a killed run loses at most about this much.
+        checkpoint_seconds: time between checkpoints, and about the most that a killed run loses.
         log_every: steps between lines of `metrics.jsonl`.
-        keep: how many checkpoints stay on disk.
+        keep: number of checkpoints to keep.
+
+    Returns:
+        the trained model.
 
     Raises:
-        KeycldError: for anything a user can fix, before the first step where possible.
+        KeycldError: anything that a user can fix, before the first step where possible.
     """
     check_seed(seed)
     if log_every < 1:
-        raise KeycldError(f"log_every is a number of steps of at least 1, not {log_every}.")
+        raise KeycldError(f"log_every is a number of steps, at least 1, not {log_every}.")
     keep_freed_memory()
     folder, dataset = Path(out), open_data(data)
     config = (config or config_for()).completed(dataset)
@@ -65,7 +68,7 @@ def train(
     stages = config.stages(scene)
     for stage in stages:
         stage.sampler.check(source.at(0))
-    # What the recipe refuses, it refuses before the folder is claimed.
+    # Errors of the recipe are raised before the folder is made.
     blank = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
     for stage in stages:
         stage.labels(blank)
@@ -112,27 +115,27 @@ def load_run(run: str | Path, **settings: Any) -> tuple[AbstractModel, RunConfig
 
     Args:
         run: run folder.
-        settings: what its `config.json` could not hold, such as `constraints=` with a Python function.
+        settings: those that its `config.json` cannot hold, such as `constraints=` with a Python function.
 
     Raises:
-        KeycldError: the folder is not a run's, has no checkpoint yet, or is damaged.
+        KeycldError: the folder is not that of a run, has no checkpoint yet, or is damaged.
     """
     folder = Path(run)
     config = read_config(folder)
     checkpoint = latest_checkpoint(folder)
     if checkpoint is None:
-        raise KeycldError(f"{folder} has no checkpoint yet; wait for the first one or train it again.")
+        raise KeycldError(f"{folder} has no checkpoint yet: wait for the first one, or train it again.")
     chosen = config.model_config().changed(settings)
     return load_arrays(checkpoint / WEIGHTS, blank_model(chosen, config), chosen.RENAMED), config
 
 
 def blank_model(chosen: ModelConfig, config: RunConfig) -> AbstractModel:
-    """Return a model of a run's shape without weights: `jax.ShapeDtypeStruct`s in place of arrays; needs no data."""
+    """Return the model of a run with `jax.ShapeDtypeStruct`s in place of arrays; needs no data."""
     return eqx.filter_eval_shape(chosen.build, Scene(**config.scene), jax.random.key(0))
 
 
 def finished(run: str | Path) -> bool:
-    """Return whether a run has trained to the end of its last stage."""
+    """Return whether a run has reached the end of its last stage."""
     checkpoint = latest_checkpoint(Path(run))
     if checkpoint is None:
         return False
@@ -160,10 +163,15 @@ def make_scene(shape: tuple[int, ...], dataset: DataSet) -> Scene:
 
 
 def validation_score(dataset: DataSet, threshold: float) -> Callable[[AbstractModel], dict[str, float]]:
-    """Return a function that gives a model's VPT on validation trajectories, 100 at most, to watch the training."""
+    """Return a function that returns a model's VPT on the validation set, on 100 trajectories at most.
+
+    Args:
+        dataset: with the validation set.
+        threshold: ε, of the squared error of a frame.
+    """
 
     def score(model: AbstractModel) -> dict[str, float]:
-        data = dataset.split("validation", rows=slice(0, _WATCHED))
+        data = dataset.split("validation", rows=slice(0, _VALIDATED))
         image = np.asarray(data.image)
         parts = predict(model, image[:, : model.context], dataset.dt, data.input, data.frames)
         errors = np.concatenate([frame_errors(image[part], found.frames) for part, found in parts])

@@ -31,8 +31,8 @@ def test_every_model_of_every_preset_infers_a_state_and_renders_it(preset, kind,
     config = configured(kind, preset)
     model = config.build(SCENE, jax.random.key(0))
     frames = jax.random.uniform(getkey(), (12, 16, 16, 3))
-    drawn = eqx.filter_jit(lambda model, frames: model.render(model.infer(frames, DT, jnp.ones(1))))
-    assert drawn(model, frames[: model.context]).shape == (16, 16, 3)
+    rendered = eqx.filter_jit(lambda model, frames: model.render(model.infer(frames, DT, jnp.ones(1))))
+    assert rendered(model, frames[: model.context]).shape == (16, 16, 3)
     assert sum(stage.steps for stage in config.stages(SCENE)) > 0
 
 
@@ -84,7 +84,7 @@ def test_fully_connected_networks_have_coordinates_but_no_maps(getkey):
 
 
 @pytest.mark.parametrize("code", range(8))
-def test_the_eight_turns_of_a_picture_are_undone(code, getkey):
+def test_the_eight_symmetries_of_a_picture_are_undone(code, getkey):
     turn = jnp.array([bool(code & 1), bool(code & 2), bool(code & 4)])
     picture = jax.random.uniform(getkey(), (5, 5, 2))
     np.testing.assert_array_equal(turned_back(turned(picture, turn), turn), picture)
@@ -105,7 +105,7 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     x = np.array([np.ravel(s.keypoints) for s in seen], float)
     dt, law = float(DT), model.moving_law
     dynamics, accelerate = 0.0, eqx.filter_jit(law.acceleration)
-    for k in range(1, 4):  # frames 1 ... 8 have a velocity; the last five of them start nothing
+    for k in range(1, 4):  # frames 1 ... 8 have a velocity; roll-outs from the first three of them
         v = (x[k + 1] - x[k - 1]) / (2 * dt)
         v = v - x[k] * (x[k] @ v) / (x[k] @ x[k])  # DΦ of a distance to the origin is along x
         y = x[k].copy()
@@ -125,14 +125,14 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     assert float(terms["heat_map"]) == pytest.approx(np.mean(entropy), rel=1e-3)
 
     renderer = eqx.filter_jit(model.renderer)
-    drawn = np.array([renderer(s.keypoints) for s in seen])
-    reconstruction = np.mean(np.sum((drawn - np.asarray(frames[0])) ** 2, axis=(1, 2, 3)))
+    rendered = np.array([renderer(s.keypoints) for s in seen])
+    reconstruction = np.mean(np.sum((rendered - np.asarray(frames[0])) ** 2, axis=(1, 2, 3)))
     assert float(terms["reconstruction"]) == pytest.approx(reconstruction, rel=1e-4)
     assert float(total) == pytest.approx(reconstruction + dynamics + np.mean(entropy), rel=1e-4)
 
 
-def test_a_turned_estimator_still_sees_the_same_place(getkey):
-    """With augmentation the loss differs, because the network is not symmetric, but stays finite and drawn anew."""
+def test_the_augmented_loss_is_random_and_finite(getkey):
+    """With augmentation the loss is finite, and it differs between keys, because the network is not symmetric."""
     model = configured("keycld", "journal").build(SCENE, jax.random.key(0))
     clip = Clip(
         jax.random.uniform(getkey(), (1, 10, 16, 16, 3)), None, jnp.arange(10)[None], jnp.ones((1, 1)), DT[None], 10

@@ -1,4 +1,4 @@
-"""From the keypoints of a few frames to a state."""
+"""Initial states from the keypoints of a few frames."""
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +22,7 @@ def swing(pendulum):
 
 
 @pytest.mark.parametrize("given", [2, 3, 4])
-def test_a_fitted_start_recovers_the_motion_that_was_seen(pendulum, swing, given):
+def test_a_fitted_initial_state_recovers_the_observed_motion(pendulum, swing, given):
     state, seen = swing
     found = FittedInitialState(None, given)(pendulum, seen[:given], DT, NOTHING).coordinates
     np.testing.assert_allclose(found.x, state.coordinates.x, atol=2e-4)
@@ -33,13 +33,13 @@ def test_a_third_frame_halves_the_error_of_the_velocity(pendulum, swing):
     """The error of a difference over one frame is σ√2/dt, over two frames σ/(√2 dt)."""
     state, seen = swing
     noisy = seen[None, :3] + 1e-3 * jax.random.normal(jax.random.key(0), (200, 3, 2))
-    starts = jax.jit(jax.vmap(lambda x: FittedInitialState(None, 3)(pendulum, x, DT, NOTHING)))(noisy)
-    error = float(jnp.sqrt(jnp.mean(jnp.sum((starts.coordinates.v - state.coordinates.v[None]) ** 2, axis=-1))))
+    initial = jax.jit(jax.vmap(lambda x: FittedInitialState(None, 3)(pendulum, x, DT, NOTHING)))(noisy)
+    error = float(jnp.sqrt(jnp.mean(jnp.sum((initial.coordinates.v - state.coordinates.v[None]) ** 2, axis=-1))))
     assert error == pytest.approx(1e-3 / (np.sqrt(2) * float(DT)), rel=0.2)
 
 
 def test_shared_constants_are_those_of_the_motion(pendulum, swing):
-    """Sightings 2 % too far out, as an observer may see them, do not make the pendulum longer."""
+    """Keypoints observed 2 % too far from the pivot do not make the pendulum longer."""
     _, seen = swing
     own, shared = (
         FittedInitialState(constants)(pendulum, 1.02 * seen[:2], DT, NOTHING) for constants in (None, jnp.ones(1))
@@ -51,20 +51,20 @@ def test_shared_constants_are_those_of_the_motion(pendulum, swing):
 
 def test_a_backward_difference_belongs_to_the_second_frame(pendulum, swing):
     _, seen = swing
-    start = DifferenceInitialState()
-    found = start(pendulum, seen[:2], DT, NOTHING).coordinates
-    assert (start.given, start.anchor) == (2, 1)
+    initial_state = DifferenceInitialState()
+    found = initial_state(pendulum, seen[:2], DT, NOTHING).coordinates
+    assert (initial_state.given, initial_state.anchor) == (2, 1)
     np.testing.assert_allclose(found.v, (seen[1] - seen[0]) / DT)
 
 
 def test_a_central_difference_keeps_to_the_constraint(pendulum, swing):
     _, seen = swing
-    start = CentralInitialState()
-    found = start(pendulum, seen[:3] + jnp.array([[0.02], [0.0], [-0.01]]), DT, NOTHING).coordinates
-    assert (start.given, start.anchor) == (3, 1)
+    initial_state = CentralInitialState()
+    found = initial_state(pendulum, seen[:3] + jnp.array([[0.02], [0.0], [-0.01]]), DT, NOTHING).coordinates
+    assert (initial_state.given, initial_state.anchor) == (3, 1)
     np.testing.assert_array_equal(found.x, seen[1])
     assert abs(float(jnp.sum(found.x * found.v))) < 1e-5
-    # Along the circle nothing is taken away.
+    # The component along the circle is unchanged.
     plain = (seen[2] - seen[0] - 0.03) / (2 * DT)
     tangent = jnp.array([-seen[1, 1], seen[1, 0]])
     np.testing.assert_allclose(jnp.sum(found.v * tangent), jnp.sum(plain * tangent), rtol=1e-5)

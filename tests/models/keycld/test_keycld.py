@@ -43,7 +43,7 @@ def paper_model():
 
 
 @eqx.filter_jit
-def begin(model, x0, x1, dt, u):
+def initial(model, x0, x1, dt, u):
     return model.initial_state(model.dynamics, jnp.stack([x0, x1]), dt, u)
 
 
@@ -58,32 +58,32 @@ def on_circle(angle):
     return jnp.array([jnp.sin(angle), -jnp.cos(angle)])
 
 
-def test_start_joins_the_two_given_positions(model):
-    """From rest at 1 rad a pendulum passes x1 after one frame; the solved start must lead there, at the true speed."""
+def test_the_initial_state_joins_the_two_given_positions(model):
+    """A pendulum at 1 rad with 3 rad/s is at x1 after one frame; the initial state must lead there, at this speed."""
     u = jnp.zeros(1)
     fine = eqx.tree_at(lambda m: m.dynamics.integrator, model, Rattle(substeps=200))
-    still = begin(fine, on_circle(1.0), on_circle(1.0), DT, u)
+    still = initial(fine, on_circle(1.0), on_circle(1.0), DT, u)
     later = fine.dynamics.step(
         eqx.tree_at(lambda s: s.coordinates.v, still, jnp.array([1.0, 1.5574]) * 3.0 * np.cos(1.0)), u, DT
     )
-    start = begin(model, on_circle(1.0), later.coordinates.x, DT, u)
-    speed = float(jnp.linalg.norm(start.coordinates.v))
+    state = initial(model, on_circle(1.0), later.coordinates.x, DT, u)
+    speed = float(jnp.linalg.norm(state.coordinates.v))
     assert speed == pytest.approx(3.0, rel=2e-3)
-    reached = model.dynamics.step(start, u, DT).coordinates.x
+    reached = model.dynamics.step(state, u, DT).coordinates.x
     np.testing.assert_allclose(reached, later.coordinates.x, atol=1e-4)
 
 
-def test_a_plain_difference_would_start_wrong(model):
-    """The same case shows why: over a turn of 0.15 rad a difference misses the speed at either frame."""
-    start = begin(model, on_circle(1.0), on_circle(1.3), DT, jnp.zeros(1))
+def test_a_plain_difference_misses_the_initial_velocity(model):
+    """Over a turn of 0.3 rad a difference is wrong by more than 5 % of the velocity."""
+    state = initial(model, on_circle(1.0), on_circle(1.3), DT, jnp.zeros(1))
     difference = (on_circle(1.3) - on_circle(1.0)) / DT
-    solved = start.coordinates.v
+    solved = state.coordinates.v
     assert float(jnp.linalg.norm(difference - solved)) > 0.05 * float(jnp.linalg.norm(solved))
 
 
-def test_start_compromises_between_two_lengths(model):
+def test_the_initial_state_compromises_between_two_lengths(model):
     """Two observations at distances 0.9 and 1.1 from the pivot give a motion at one constant distance."""
-    state = begin(model, 0.9 * on_circle(0.5), 1.1 * on_circle(0.6), DT, jnp.zeros(1))
+    state = initial(model, 0.9 * on_circle(0.5), 1.1 * on_circle(0.6), DT, jnp.zeros(1))
     path = model.rollout(state, DT, jnp.zeros(1), 40).coordinates.x
     lengths = jnp.linalg.norm(path, axis=1)
     np.testing.assert_allclose(lengths, lengths[0], atol=1e-5)
@@ -94,7 +94,7 @@ def test_prediction_returns_all_frames_and_backward_undoes_forward(model, getkey
     frames = jax.random.uniform(getkey(), (2, 16, 16, 3))
     u = jnp.zeros(1)
     assert predict(model, frames, u, 9).frames.shape == (9, 16, 16, 3)
-    states = model.rollout(begin(model, on_circle(1.0), on_circle(1.1), DT, u), DT, u, 8)
+    states = model.rollout(initial(model, on_circle(1.0), on_circle(1.1), DT, u), DT, u, 8)
     last = jax.tree.map(lambda leaf: leaf[-1], states)
     back = model.rollout(last, -DT, u, 8).coordinates.x[::-1]
     np.testing.assert_allclose(back, states.coordinates.x, atol=2e-4)
@@ -118,7 +118,7 @@ def test_a_given_frame_with_nan_is_named(model):
 @pytest.mark.parametrize(
     ("frames", "u", "words"),
     [
-        ((1, 16, 16, 3), (1,), "from 2 frames or more.*not from .1, 16, 16, 3"),
+        ((1, 16, 16, 3), (1,), "needs 2 given frames or more.*not .1, 16, 16, 3"),
         ((2, 16, 24, 3), (1,), "16 × 16 pixels.*16, 24, 3"),
         ((2, 16, 16, 3), (2,), "has 1 inputs, not 2"),
     ],
@@ -181,8 +181,8 @@ def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey)
         eqx.filter_jit(paper_model.renderer),
     )
     x = np.stack([np.asarray(observe(f).keypoints).reshape(-1) for f in frames])
-    drawn = np.stack([np.asarray(renderer(jnp.asarray(p).reshape(1, 2))) for p in x])
-    reconstruction = np.sum((drawn - np.asarray(frames)) ** 2) / 7
+    rendered = np.stack([np.asarray(renderer(jnp.asarray(p).reshape(1, 2))) for p in x])
+    reconstruction = np.sum((rendered - np.asarray(frames)) ** 2) / 7
     h, defects = 0.05, []
     velocity = {i: (x[i + 1] - x[i - 1]) / (2 * h) for i in range(1, 6)}
     for i in range(2, 5):
@@ -198,10 +198,10 @@ def test_collocation_loss_is_the_papers_written_out_by_hand(paper_model, getkey)
 
 
 def test_collocation_vanishes_on_a_true_motion(model):
-    """Keypoints that obey eq. (6) closely leave almost no defect; ones with wrong gravity leave much."""
+    """Keypoints that obey eq. (6) leave almost no defect."""
     law = model.dynamics.law
-    start = begin(model, on_circle(0.5), on_circle(0.5), jnp.array(0.01), jnp.zeros(1))
-    x = model.rollout(start, jnp.array(0.01), jnp.zeros(1), 20).coordinates.x
+    state = initial(model, on_circle(0.5), on_circle(0.5), jnp.array(0.01), jnp.zeros(1))
+    x = model.rollout(state, jnp.array(0.01), jnp.zeros(1), 20).coordinates.x
     v = (x[2:] - x[:-2]) / 0.02
     a = (v[2:] - v[:-2]) / 0.02
     expected = jax.vmap(lambda x, v: law.acceleration(x, v, jnp.zeros(1)))(x[2:-2], v[1:-1])
@@ -211,15 +211,15 @@ def test_collocation_vanishes_on_a_true_motion(model):
 def test_track_loss_is_zero_on_the_models_own_motion(model, getkey):
     """From every group, forward and backward in time, under an input that differs from frame to frame."""
     u = 3 * jax.random.normal(getkey(), (12, 1))
-    start = begin(model, on_circle(0.5), on_circle(0.6), DT, u[0])
-    path = model.rollout(start, DT, u[:11], 11).coordinates.x
+    state = initial(model, on_circle(0.5), on_circle(0.6), DT, u[0])
+    path = model.rollout(state, DT, u[:11], 11).coordinates.x
     clip = track_clip(path, [0, 1, 4, 5, 7, 8, 10, 11], u)
     assert track(model, clip) < 1e-6
     assert track(model, eqx.tree_at(lambda c: c.cached, clip, clip.cached.at[0, 5:].add(0.1))) > 1e-3
 
 
 def test_track_loss_written_out_by_hand(model, getkey):
-    """Three groups that no motion joins: from each one forward, and backward with negative dt."""
+    """Three groups of unrelated keypoints: from each one forward, and backward with negative dt."""
     index, u = [0, 1, 3, 4, 6, 7], jnp.zeros((8, 1))
     path = jnp.stack([on_circle(0.5 + 0.4 * jax.random.normal(key)) for key in jax.random.split(getkey(), 8)])
     seen = np.asarray(path[jnp.array(index)])
@@ -229,8 +229,8 @@ def test_track_loss_written_out_by_hand(model, getkey):
 
 
 def test_prediction_loss_written_out_by_hand(model, getkey):
-    """Two clips of three groups, each of whose frames are drawn from their group's own motion or an earlier one's."""
-    # Fresh networks see all pictures alike, and draw all keypoints alike.
+    """Two clips of three groups, with frames rendered from the roll-out of their group or an earlier one."""
+    # Untrained networks hardly distinguish pictures or keypoints.
     outs = lambda m: (m.estimator.network.out.kernel, m.renderer.network.out.kernel)  # noqa: E731
     model = eqx.tree_at(outs, model, replace_fn=lambda kernel: 100 * kernel)
     index, key = [0, 1, 3, 4, 6, 7], jax.random.key(8)
@@ -241,13 +241,13 @@ def test_prediction_loss_written_out_by_hand(model, getkey):
     observe = eqx.filter_jit(lambda model: jax.vmap(jax.vmap(model.observe))(clip.frames))
     keypoints, maps = (np.asarray(leaf)[:, :, 0] for leaf in observe(model))
     rolled = np.stack([motions_of_groups(model, x, index, jnp.ones(1)) for x in keypoints])
-    lot = np.asarray(jax.random.randint(key, (2, 3), 0, np.array([[1, 2, 3]])))
-    assert np.any(lot == [-1, 1, 2]) and np.any(lot < [0, 1, 2])  # neither its own motion always, nor the first
+    sampled = np.asarray(jax.random.randint(key, (2, 3), 0, np.array([[1, 2, 3]])))
+    assert np.any(sampled == [-1, 1, 2]) and np.any(sampled < [0, 1, 2])  # own and earlier roll-outs
     renderer, errors, divergences = eqx.filter_jit(model.renderer), [], []
     cells = (2 * np.arange(8) + 0.5 - 7.5) / 7.5  # middles of 2 × 2 pixels
     for b, k in np.ndindex(2, 6):
-        drawn = renderer(rolled[b, lot[b, k // 2], k][None])
-        errors.append(np.sum((np.asarray(drawn) - frames[b, k]) ** 2))
+        rendered = renderer(rolled[b, sampled[b, k // 2], k][None])
+        errors.append(np.sum((np.asarray(rendered) - frames[b, k]) ** 2))
         x, y = keypoints[b, k]
         blob = np.exp(-((cells[None, :] - x) ** 2 + (-cells[:, None] - y) ** 2) / (2 * 0.05**2))
         blob = blob / blob.sum()
@@ -269,12 +269,12 @@ def test_prediction_loss_written_out_by_hand(model, getkey):
 @eqx.filter_jit
 def both_ways(model, x0, x1, u):
     """Seven frames forward and seven backward from two observations."""
-    start = model.initial_state(model.dynamics, jnp.stack([x0, x1]), DT, u)
-    return [model.rollout(start, dt, u, 7).coordinates.x for dt in (DT, -DT)]
+    state = model.initial_state(model.dynamics, jnp.stack([x0, x1]), DT, u)
+    return [model.rollout(state, dt, u, 7).coordinates.x for dt in (DT, -DT)]
 
 
 def motions_of_groups(model, seen, index, u):
-    """By hand, of a clip's observations: each two start a motion, which passes all of the clip's frames."""
+    """By hand: each two observations of a clip give an initial state, whose roll-out passes all its frames."""
     motions = []
     for k in range(0, len(index), 2):
         later, earlier = both_ways(model, seen[k], seen[k + 1], u)
@@ -311,10 +311,10 @@ def test_every_parameter_a_loss_should_move_gets_a_gradient(loss, index, span, g
     ("item", "weights"),
     [(DistanceToPoint("a"), (100.0, 325.0, 1000.0, 1000.0)), (FixedDistance("a", "b"), (1.0, 31.6, 1000.0, 1000.0))],
 )
-def test_vision_holds_constraints_more_and_more(item, weights, getkey):
-    """Those to the world at once, those between keypoints later: 1000^(1/2) = 31.6 at a quarter of the steps."""
+def test_the_weights_of_constraints_grow_with_the_steps(item, weights, getkey):
+    """On one keypoint from the first step, between keypoints later: 1000^(1/2) = 31.6 at a quarter of the steps."""
     model = fast(Constraints(("a", "b"), (item,)), width=8).build(SCENE, jax.random.key(0))
-    # Keypoints that differ from picture to picture, or the term would drown in rounding.
+    # Keypoints that differ between pictures; otherwise the term would be smaller than rounding errors.
     model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 100 * kernel)
     clip = clips(getkey(), 3, [0], 1)
     loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100))
@@ -324,8 +324,8 @@ def test_vision_holds_constraints_more_and_more(item, weights, getkey):
         assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02), terms
 
 
-def test_what_ties_keypoints_is_mended_by_the_joint_first(getkey):
-    """Of an acrobot: the elbow answers for the forearm's length from the first step, the forearm's end in the end."""
+def test_constraints_between_keypoints_move_the_joint_first(getkey):
+    """Of an acrobot: the forearm's length moves the elbow from the first step, the forearm's end only later."""
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "end"))
     model = fast(Constraints(("elbow", "end"), items), width=8).build(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, [0], 1)
@@ -353,8 +353,8 @@ def test_paper_model_predicts_with_its_adaptive_solver(paper_model, getkey):
     assert bool(jnp.all(jnp.isfinite(x)))
 
 
-def test_potential_of_the_paper_starts_flat(getkey):
-    """Kernels N(0, 0.01²): energies start near zero everywhere."""
+def test_the_initial_potential_of_the_paper_is_flat(getkey):
+    """Kernels N(0, 0.01²): initial energies are near zero everywhere."""
     potential = MLPPotential(4, key=getkey())
     values = jax.vmap(potential)(jax.random.uniform(getkey(), (50, 4), minval=-1, maxval=1))
     assert float(jnp.abs(values).max()) < 1e-3

@@ -1,4 +1,4 @@
-"""What is known of a first velocity besides what two pictures tell."""
+"""The prior of the initial velocity."""
 
 import equinox as eqx
 import jax
@@ -15,7 +15,7 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 
 DT = jnp.array(0.05)
 NOTHING = jnp.zeros(0)
-ERROR = 0.002  # of a observation; √2 ERROR / DT = 0.057 of a velocity
+ERROR = 0.002  # of an observed position; √2 ERROR / DT = 0.057 of a velocity
 OBSERVATION = np.sqrt(2) * ERROR / float(DT)
 
 
@@ -35,14 +35,14 @@ def rates(state):
     return x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0]
 
 
-def recorded(pendulum, start, frames=12):
-    """Keypoints of motions, seen with white errors."""
-    x = jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames - 1).x)(start)
+def recorded(pendulum, initial, frames=12):
+    """Keypoints of motions, observed with white errors."""
+    x = jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames - 1).x)(initial)
     return x + ERROR * jax.random.normal(jax.random.key(5), x.shape)
 
 
 class Observed(eqx.Module):
-    """A model but for its pictures."""
+    """A model without pictures."""
 
     dynamics: MechanicalDynamics
     initial_state: FittedInitialState
@@ -62,8 +62,8 @@ def after_rest(pendulum, angle, frames):
     return State(Motion(moved.x[:, -1], moved.v[:, -1]), rest.parameters)
 
 
-def test_both_kinds_of_motion_are_told_better_than_by_either_rule(pendulum):
-    """Half of the motions begin after rest. Neither to believe what is seen nor to believe in rest is as good."""
+def test_both_kinds_of_motion_have_smaller_errors_than_under_either_rule(pendulum):
+    """Half of the motions are released from rest. To trust only the observation, or only rest, is worse."""
     known = VelocityPrior(DT, jnp.array(0.01), jnp.array(OBSERVATION), jnp.array(2.0))
     true = jnp.concatenate(
         [rates(after_rest(pendulum, angles(400), 1)), 2.0 * jax.random.normal(jax.random.key(1), (400,))]
@@ -76,15 +76,15 @@ def test_both_kinds_of_motion_are_told_better_than_by_either_rule(pendulum):
     def errors(rate):
         return [float(jnp.sqrt(jnp.mean((rate - true)[half] ** 2))) for half in (slice(400), slice(400, None))]
 
-    begun, taken_up = errors(rates(found))
-    seen_begun, seen_taken_up = errors(rates(seen))
-    assert seen_begun == pytest.approx(OBSERVATION, rel=0.1)
-    assert begun < 0.45 * seen_begun
-    assert taken_up < 1.25 * seen_taken_up
-    assert errors(-float(DT) * 9.81 * jnp.sin(angle))[1] > 20 * taken_up
+    released, moving = errors(rates(found))
+    seen_released, seen_moving = errors(rates(seen))
+    assert seen_released == pytest.approx(OBSERVATION, rel=0.1)
+    assert released < 0.45 * seen_released
+    assert moving < 1.25 * seen_moving
+    assert errors(-float(DT) * 9.81 * jnp.sin(angle))[1] > 20 * moving
 
 
-def test_a_fast_motion_stays_what_was_seen(pendulum):
+def test_a_fast_motion_keeps_its_observed_velocity(pendulum):
     known = VelocityPrior(DT, jnp.array(0.01), jnp.array(OBSERVATION), jnp.array(2.0))
     fast = states(angles(20), jnp.full(20, 3.0))
     found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(fast)
@@ -97,8 +97,8 @@ def test_before_anything_is_measured_nothing_changes(pendulum):
     np.testing.assert_array_equal(found.coordinates.v, slow.coordinates.v)
 
 
-def test_a_model_begins_with_the_likelier_velocity(getkey):
-    """`infer` is the start and then the beginning, with the acceleration under the first input."""
+def test_a_model_infers_the_expected_velocity(getkey):
+    """`infer` is the initial state and then the prior, with the acceleration under the first input."""
     constraints = Constraints(("bob",), (DistanceToPoint("bob"),))
     config = config_for("keycld", "fast", constraints=constraints, width=8, substeps=1)
     model = config.build(Scene(16, 16, 1, 12, 0.05, 6), jax.random.key(0))
@@ -106,36 +106,36 @@ def test_a_model_begins_with_the_likelier_velocity(getkey):
     model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 30 * kernel)
     model = eqx.tree_at(lambda m: m.dynamics.law.input_matrix.bias, model, jnp.array([50.0, 20.0]))
     frames, u = jax.random.uniform(getkey(), (2, 16, 16, 3)), jnp.array([[1.0], [-1.0]])
-    known = VelocityPrior(*jnp.array([0.05, 1.0, 10.0, 20.0]))  # an unlearned estimator's observations are wild
+    known = VelocityPrior(*jnp.array([0.05, 1.0, 10.0, 20.0]))  # an untrained estimator has large errors
     infer = eqx.filter_jit(lambda model: model.infer(frames, DT, u))
 
-    def begun(beginning):
-        return infer(eqx.tree_at(lambda m: m.velocity_prior, model, beginning, is_leaf=lambda leaf: leaf is None))
+    def inferred(prior):
+        return infer(eqx.tree_at(lambda m: m.velocity_prior, model, prior, is_leaf=lambda leaf: leaf is None))
 
     @eqx.filter_jit
     def by_hand(model):
         seen = jnp.stack([model.observe(frame).keypoints[0] for frame in frames])
-        start = model.initial_state(model.dynamics, seen, DT, u)
-        return start, known(model.dynamics, start, u[0])
+        observed = model.initial_state(model.dynamics, seen, DT, u)
+        return observed, known(model.dynamics, observed, u[0])
 
-    start, likelier = by_hand(model)
-    assert float(jnp.max(jnp.abs(likelier.coordinates.v - start.coordinates.v))) > 1.0
-    for beginning, state in ((None, start), (VelocityPrior.unknown(), start), (known, likelier)):
-        for leaf, wanted in zip(jax.tree.leaves(begun(beginning)), jax.tree.leaves(state), strict=True):
+    observed, expected = by_hand(model)
+    assert float(jnp.max(jnp.abs(expected.coordinates.v - observed.coordinates.v))) > 1.0
+    for prior, state in ((None, observed), (VelocityPrior.unknown(), observed), (known, expected)):
+        for leaf, wanted in zip(jax.tree.leaves(inferred(prior)), jax.tree.leaves(state), strict=True):
             np.testing.assert_allclose(leaf, wanted, rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize("frames", [1, 2])
 def test_rest_is_found_in_the_recordings(pendulum, frames):
     x = recorded(pendulum, after_rest(pendulum, angles(150), frames))
-    begun = measured(pendulum, x, VelocityPrior.unknown()).velocity_prior
-    assert float(begun.elapsed) == pytest.approx(frames * float(DT), rel=0.05)
-    assert float(begun.observation) == pytest.approx(OBSERVATION, rel=0.2)
-    assert float(begun.spread) < 0.6 * OBSERVATION
+    prior = measured(pendulum, x, VelocityPrior.unknown()).velocity_prior
+    assert float(prior.elapsed) == pytest.approx(frames * float(DT), rel=0.05)
+    assert float(prior.observation) == pytest.approx(OBSERVATION, rel=0.2)
+    assert float(prior.spread) < 0.6 * OBSERVATION
 
 
-def test_recordings_taken_up_in_the_middle_teach_nothing(pendulum):
-    """Where first velocities are any, predictions begin with those that were seen."""
+def test_recordings_from_the_middle_of_motions_give_no_prior(pendulum):
+    """If initial velocities are arbitrary, the expected velocity is the observed one."""
     thrown = states(angles(150), 2.0 * jax.random.normal(jax.random.key(4), (150,)))
     x = recorded(pendulum, thrown)
     model = measured(pendulum, x, VelocityPrior.unknown())
@@ -145,12 +145,12 @@ def test_recordings_taken_up_in_the_middle_teach_nothing(pendulum):
     assert float(jnp.max(off)) < 0.2 * OBSERVATION
 
 
-def test_a_model_without_a_prior_keeps_to_what_is_seen(pendulum):
+def test_a_model_without_a_prior_is_not_changed(pendulum):
     assert measured(pendulum, recorded(pendulum, states(angles(2), jnp.zeros(2))), None).velocity_prior is None
 
 
-def test_constraints_that_repeat_each_other_leave_numbers(pendulum):
-    """Two constants for one rod: by their count nothing could move."""
+def test_redundant_constraints_give_finite_numbers(pendulum):
+    """Two constants for one rod: their count leaves no degree of freedom, their rank one."""
     rod = DistanceToPoint("bob")
     twice = eqx.tree_at(lambda d: d.law.constraint_function, pendulum, Constraints(("bob",), (rod, rod)))
     x = recorded(pendulum, after_rest(pendulum, angles(30), 1))
@@ -158,5 +158,5 @@ def test_constraints_that_repeat_each_other_leave_numbers(pendulum):
     model = measure_velocity_prior(Observed(twice, FittedInitialState(jnp.ones(2)), VelocityPrior.unknown()), data)[0]
     assert twice.law.freedom == 1
     assert float(model.velocity_prior.elapsed) == pytest.approx(float(DT), rel=0.2)
-    start = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), NOTHING)
-    assert bool(jnp.all(jnp.isfinite(start.coordinates.v)))
+    state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), NOTHING)
+    assert bool(jnp.all(jnp.isfinite(state.coordinates.v)))

@@ -1,6 +1,7 @@
 """KeyCLD and its ablations: keypoints are the Cartesian state of a constrained Lagrangian. Importable without JAX.
 
-Config in `config`, module in `model`, losses in `losses`, one file a preset in `recipes`.
+The config is in `config`, the module in `model`, the losses in `losses` and `short_rollout_loss`; `recipes` has one
+file for each preset.
 """
 
 from keycld.models.keycld.config import KeyCLDConfig as KeyCLDConfig

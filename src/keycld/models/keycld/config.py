@@ -1,4 +1,4 @@
-"""What all presets of the KeyCLD family share: which keypoints there are, and what holds them together."""
+"""The settings that all presets of the KeyCLD family share: keypoints and constraints."""
 
 import dataclasses
 from collections.abc import Mapping
@@ -18,9 +18,9 @@ _EXAMPLE = 'keypoints = ["point"]\n\n[[constraint]]\nkind = "distance_to_point"\
 
 @dataclasses.dataclass(frozen=True)
 class KeyCLDConfig(ModelConfig):
-    """KeyCLD, KeyCLD-NC, NODE2 or FC: four configs of one family, told apart by `model`."""
+    """KeyCLD, KeyCLD-NC, NODE2 or FC: one config class for the four models of the family; `model` names which."""
 
-    # Schema 1 knew two private names.
+    # Names of schema 1.
     RENAMED: ClassVar[Mapping[str, str]] = {
         "start.": "initial_state.",
         "beginning.sighting": "velocity_prior.observation",
@@ -29,7 +29,7 @@ class KeyCLDConfig(ModelConfig):
     HALF: ClassVar[tuple[str, ...]] = ("estimator.", "renderer.")
 
     constraints: Annotated[Any, tyro.conf.Suppress] = None
-    """Keypoints and constraints as TOML text; by default those of the data set. From Python also a `Constraints`."""
+    """Keypoints and constraints as TOML text, or in Python a `Constraints`; by default those of the data set."""
 
     @property
     def phi(self) -> "Constraints":
@@ -55,7 +55,10 @@ class KeyCLDConfig(ModelConfig):
         return len(self.phi.keypoints)
 
     def completed(self, source: Any = None) -> "ModelConfig":
-        """Return the config with the constraints of the data set or system `source`, as text where text can hold them.
+        """Return the config with its constraints, as text unless one of them is a Python function.
+
+        Args:
+            source: the data set or system whose constraints are taken where the config has none.
 
         Raises:
             KeycldError: neither the config nor the source has constraints.
@@ -70,16 +73,16 @@ class KeyCLDConfig(ModelConfig):
         if isinstance(found, Constraints) and not any(isinstance(item, FunctionConstraint) for item in found.items):
             found = dump_constraints(found)
         completed = dataclasses.replace(self, constraints=found)
-        completed.phi  # noqa: B018  what is wrong with the constraints is told now
+        completed.phi  # noqa: B018  raises now if the text is wrong
         return completed
 
     def settings(self) -> dict[str, Any]:
-        """Return all fields as values of JSON; constraints with a Python function among them become None."""
+        """Return all fields as JSON values; constraints with a Python function among them become None."""
         text = self.constraints if isinstance(self.constraints, str) else None
         return super(KeyCLDConfig, dataclasses.replace(self, constraints=text)).settings()
 
 
 def _keypoints(source: Any) -> tuple[str, ...]:
     if source is None or source.constraints is None:
-        raise KeycldError("a plain function does not name keypoints: wrap it, Constraints(('a', 'b'), (function,)).")
+        raise KeycldError("a plain function names no keypoints: wrap it as Constraints(('a', 'b'), (function,)).")
     return source.constraints.keypoints

@@ -1,4 +1,4 @@
-"""The initial state of a motion, from the keypoints of the given frames."""
+"""Estimation of the initial state from the keypoints of the given frames."""
 
 from abc import abstractmethod
 
@@ -26,7 +26,7 @@ class AbstractInitialState(eqx.Module):
     @property
     @abstractmethod
     def given(self) -> int:
-        """How many frames it takes."""
+        """The number of given frames that it needs."""
 
     @property
     @abstractmethod
@@ -42,25 +42,39 @@ class AbstractInitialState(eqx.Module):
     def __call__(
         self, dynamics: AbstractDynamics, x: Float[Array, "given dim"], dt: Float[Array, ""], u: Float[Array, "..."]
     ) -> State:
-        """Return the state at frame `anchor`; `u` is constant `[l]`, or `[≥ given − 1, l]` from the first frame on."""
+        """Return the state at frame `anchor`.
+
+        Args:
+            dynamics: the law of motion and its integrator.
+            x: keypoints of the given frames, image-plane units.
+            dt: seconds between frames.
+            u: constant `[l]`, or `[≥ given − 1, l]` from the first frame on.
+        """
 
 
 class FittedInitialState(AbstractInitialState):
-    """The state at frame 0 of the motion that passes through the given frames, found through the dynamics.
+    """The state at frame 0, fitted through the dynamics to the keypoints of the given frames.
 
-    The observed keypoints are first brought to common values of the constraints, so that a motion can keep them. Two
-    frames decide the velocity with which one step of the dynamics joins them; a plain difference would be wrong by the
-    curvature of the path within a frame. With more frames, Gauss–Newton steps from there minimise Σ |x(t) − x̂(t)|²
-    over the observed x̂, which averages the observation errors.
+    The observed keypoints x̂_t are first projected on Φ(x) = constants, so that a motion can keep them. With two frames
+    the velocity v₀ is the one with which one step of the dynamics leads from x_0 to x_1; the difference (x_1 − x_0)/dt
+    would be wrong by the curvature of the path within a frame. With more frames, Gauss–Newton iterations from there
+    minimise
+
+        Σ_t |x(t; x_0, v_0) − x̂_t|²
+
+    which averages the observation errors. Ours; the papers use differences.
 
     Attributes:
-        constants: values of Φ that all trajectories share, as the lengths of one machine are, measured on the training
-            keypoints and not trained. None: each trajectory has its own, the mean over its given frames. A length that
-            is 1 % off in two frames makes forces 1 % wrong: on the pendulum sharing is worth .70 → .84 in valid
-            prediction time at 200 frames.
-        given: 2 or more.
-        iterations: Gauss–Newton steps for more than two frames. Over a few frames a motion is so nearly linear in its
-            initial state that two are enough.
+        constants: `[n]`, values of Φ that all trajectories share, such as the lengths of one machine. They are measured
+            on the training keypoints, not trained. None: each trajectory has its own, the mean over its given frames.
+            An error of 1 % in a length makes forces 1 % wrong: on the pendulum, shared constants raise the valid
+            prediction time at 200 frames from .70 to .84.
+        given: number of given frames, 2 or more.
+        iterations: Gauss–Newton iterations for more than two frames. Two are enough: over a few frames a motion is
+            almost linear in its initial state.
+
+    Raises:
+        KeycldError: `given` is less than 2.
     """
 
     constants: Float[Array, " n"] | None
@@ -78,9 +92,9 @@ class FittedInitialState(AbstractInitialState):
         return self.constants
 
     def __check_init__(self):
-        """Refuse one frame, which tells no velocity."""
+        """Refuse a single frame, which has no velocity."""
         if self.given < 2:
-            raise KeycldError(f"a motion starts from 2 or more given frames, not {self.given}.")
+            raise KeycldError(f"an initial state is fitted to 2 or more given frames, not {self.given}.")
 
     def __call__(
         self, dynamics: AbstractDynamics, x: Float[Array, "given dim"], dt: Float[Array, ""], u: Float[Array, "..."]
@@ -101,21 +115,21 @@ class FittedInitialState(AbstractInitialState):
             position = law.project_position(z[:dim], constants)
             return State(Motion(position, law.project_velocity(position, z[dim:] / dt)), parameters)
 
-        def miss(z: Array) -> Array:
+        def residual(z: Array) -> Array:
             inputs = u if u.ndim == 1 else u[: self.given - 1]
             return (dynamics.rollout(state(z), inputs, dt, self.given - 1).x - x).reshape(-1)
 
         z = jnp.concatenate([x0, dt * v0])
         for _ in range(self.iterations):
-            # The directions that the projections remove have no effect; the solver's damping leaves them alone.
-            jacobian = jax.jacfwd(miss)(z)
+            # The projections remove some directions of z; the damping keeps the normal matrix regular there.
+            jacobian = jax.jacfwd(residual)(z)
             normal = jnp.matmul(jacobian.T, jacobian, precision="highest") + 1e-4 * jnp.eye(2 * dim)
-            z = z - solve_positive(normal, jnp.matmul(jacobian.T, miss(z), precision="highest"))
+            z = z - solve_positive(normal, jnp.matmul(jacobian.T, residual(z), precision="highest"))
         return state(z)
 
 
 class DifferenceInitialState(AbstractInitialState):
-    """The second frame's keypoints and the difference of the two over dt (arXiv v1, section 4)."""
+    """The state at the second of two frames: v₁ = (x₁ − x₀)/dt (arXiv v1, section 4)."""
 
     @property
     def given(self) -> int:
@@ -139,7 +153,7 @@ class DifferenceInitialState(AbstractInitialState):
 
 
 class CentralInitialState(AbstractInitialState):
-    """The second of three frames, with the central difference projected on ker DΦ (2024 version)."""
+    """The state at the second of three frames: v₁ = (x₂ − x₀)/(2 dt), projected on ker DΦ(x₁) (2024 version)."""
 
     @property
     def given(self) -> int:
@@ -164,20 +178,28 @@ class CentralInitialState(AbstractInitialState):
 
 
 def held(dynamics: AbstractDynamics, x: Float[Array, "dim"]) -> dict[str, Array]:
-    """Return what stays constant along a motion through x: the constraints' values, where the law has constraints."""
+    """Return what stays constant along a motion through x: the values of Φ, if the law has constraints."""
     law = _lagrangian(dynamics)
     return {} if law is None else {"constants": law.constraint(x)}
 
 
 def allowed_velocity(dynamics: AbstractDynamics, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, "dim"]:
-    """Return the nearest velocity with DΦ(x) v = 0 in the plain metric, as the released code projects it."""
+    """Return the nearest velocity with DΦ(x) v = 0 in the Euclidean metric, as in the released code.
+
+        v − DΦᵀ (DΦ DΦᵀ)⁻¹ DΦ v
+
+    Args:
+        dynamics: a law without constraints returns `v` itself.
+        x: positions, image-plane units.
+        v: velocities, image-plane units a second.
+    """
     law = _lagrangian(dynamics)
     if law is None or law.count == 0:
         return v
     jacobian = law.jacobian(x)
     normal = jnp.matmul(jacobian, jacobian.T, precision="highest")
-    push = solve_positive(normal, jnp.matmul(jacobian, v, precision="highest"))
-    return v - jnp.matmul(jacobian.T, push, precision="highest")
+    multipliers = solve_positive(normal, jnp.matmul(jacobian, v, precision="highest"))
+    return v - jnp.matmul(jacobian.T, multipliers, precision="highest")
 
 
 def _lagrangian(dynamics: AbstractDynamics) -> ConstrainedLagrangian | None:

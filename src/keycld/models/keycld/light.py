@@ -54,8 +54,13 @@ if TYPE_CHECKING:
 def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
     """Build KeyCLD or an ablation with light U-Nets at half resolution, affine parts in V and g, and RATTLE.
 
-    Without constraints RATTLE is the Störmer–Verlet method, which serves KeyCLD-NC. NODE2 uses Runge–Kutta 4 and
-    a difference for the first velocity: it has no law that an initial state could be fitted through.
+    Without constraints, as in KeyCLD-NC, RATTLE is the Störmer–Verlet method. NODE2 uses Runge–Kutta 4 and a
+    difference for the initial velocity: it has no constrained law to fit an initial state through.
+
+    Args:
+        config: settings and the model's name.
+        scene: sizes of the data.
+        key: for all random weights.
     """
     check_sizes(config, scene, config.width, config.stride)
     keys, dense = jax.random.split(key, 5), config.model == "fc"
@@ -87,9 +92,9 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
 
 
 def _initial_state(config: "FastConfig") -> AbstractInitialState:
-    # A posture of no meaning, until the constants are measured on the first keypoints.
-    posture = jnp.linspace(-0.4, 0.6, 2 * config.keypoints)
-    shared = posture[:0] if config.model == "keycld-nc" else config.phi(posture)
+    # Placeholder positions, until the constants are measured on the first keypoints.
+    placeholder = jnp.linspace(-0.4, 0.6, 2 * config.keypoints)
+    shared = placeholder[:0] if config.model == "keycld-nc" else config.phi(placeholder)
     return FittedInitialState(shared if config.shared_constants else None, config.given)
 
 
@@ -119,7 +124,12 @@ def _renderer(
 
 
 def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
-    """Return the stages vision, dynamics, joint, long, prior; horizons longer than the trajectories are cut."""
+    """Return the stages vision, dynamics, joint, long and prior; no horizon is longer than the trajectories.
+
+    Args:
+        config: settings of each stage.
+        scene: sizes of the data.
+    """
     first, second = config.vision, config.dynamics
     vision = Stage(
         name="vision",
@@ -192,7 +202,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
 
 
 def _frozen(config: "FastConfig", scene: Scene) -> tuple[Group, ...]:
-    """Return what waits in the dynamics stage: with noisy keypoints the perceptrons would learn the noise."""
+    """Return the groups that the dynamics stage freezes: on noisy keypoints the perceptrons would fit the noise."""
     if config.model == "node2":
         return ()
     potential = Group("potential perceptron", lambda m: m.dynamics.law.potential.perceptron, 0.0)

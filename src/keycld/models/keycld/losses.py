@@ -1,7 +1,6 @@
-"""The losses of KeyCLD's training stages. Each takes the model and a batch of clips; only this file batches.
+"""The losses of KeyCLD's training stages. Each takes the model and a batch of clips, and applies `vmap` itself.
 
-Pixels are summed and frames averaged throughout, as in the released code (the paper's eqs. 10 and 13 print sums
-over frames; λ = 5e-4 belongs to the averages).
+All of them sum over pixels and average over frames, as the released code does; arXiv v1 prints sums over frames.
 """
 
 import jax
@@ -12,29 +11,34 @@ from keycld.data import Clip
 from keycld.mechanics import State
 from keycld.models.keycld.model import AbstractKeypointModel
 from keycld.stages import AbstractLoss, Terms
-from keycld.vision import gaussian_maps, image_grid
+from keycld.vision import Observation, gaussian_maps, image_grid
 
 
 class VisionLoss(AbstractLoss):
-    """Learns to see, from single frames: the picture must pass through the keypoints.
+    """Loss of single frames: L = L_r + w_h L_h + Σ_i w_i(t) U_i.
 
-    reconstruction + `heat_map` · focus + weights · unevenness of Φ, the weights growing.
+        L_r = mean over frames of |z' − z|²                 reconstruction, sum over pixels, eq. (10)
+        L_h = mean over frames of Σ_k Σ_p b log(b / s)      heat maps s against Gaussians b at their own keypoints
+        U_i = mean over frames of (Φ_i − mean Φ_i)² / |DΦ_i|²    unevenness of constraint i, a squared length
 
-    - `heat_map`: weight of the cross-entropy between each heat map and a Gaussian of width `sigma` at its own
-      (stop-gradient) keypoint, which keeps the maps single-peaked (the 2024 version's loss).
-    - `constraint`: weight of the unevenness of the constraint functions over the batch, at the first and at the last
-      of `steps` steps, linear between. Only DΦ enters eq. (6), so the constants are free, but they must be
-      *constants*: where the distance to the pivot changes with the angle (paper, Fig. 13b) no dynamics can follow.
-    - `coupling`: the same weight at first for constraints on several keypoints. It stays for a tenth of the steps,
-      grows by equal factors for three tenths, and is then the last one of `constraint`; above zero. What ties one
-      keypoint to the world tells keypoints apart, and must bind at once; what ties keypoints to each other holds
-      from the first step where they move as one, and would keep them from ever finding their parts
-      (`results/recipe.md` has the figures).
-    - `joints`: share of the steps in which such constraints are mended by joints alone (`_ends`). A joint has one
-      right place. Where it is not there yet, the keypoint at the other end could make the distance constant too, by
-      being seen beside its part, a pixel to and fro, and no dynamics moves like that.
-    - `steps`: of the stage.
-    - `sigma`: image-plane units.
+    b ∝ exp(−|x_p − x_k|²/2σ²), normalised and without gradient, keeps the heat maps single-peaked. Only DΦ enters eq.
+    (6), so the values of Φ are free, but they must be constant: no dynamics can follow keypoints whose distance to the
+    pivot changes with the angle (arXiv v1, Fig. 13b). t = min(step / steps, 1) is the progress of the stage.
+
+    Source: arXiv v1, eq. (10), for L_r; L_h after the heat-map loss of the 2024 version; U is ours.
+
+    Attributes:
+        heat_map: w_h.
+        constraint: w_i at t = 0 and at t = 1, linear between, for constraints on one keypoint. They tell the keypoints
+            apart, so they act from the first step.
+        coupling: w_i for t ≤ 0.1, for constraints on several keypoints; above zero. It grows by equal factors until
+            t = 0.4, to the last value of `constraint`. Keypoints that move as one satisfy such constraints; a large
+            weight from the first step would keep them from finding their parts (`results/recipe.md`).
+        joints: while t is less, constraints on several keypoints move only joints, not ends (`_ends`). A joint has one
+            correct position. Before it is found, the end could make the distance constant as well, by errors of up to
+            a pixel to either side of its part, and no dynamics moves like that.
+        steps: steps of the stage.
+        sigma: σ of b, image-plane units.
     """
 
     heat_map: float = 1.0
@@ -47,17 +51,24 @@ class VisionLoss(AbstractLoss):
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluates the loss on clips of one frame each."""
+        """Evaluate the loss.
+
+        Args:
+            model: with an estimator, a renderer and constraints.
+            clips: one frame each, `[B, 1, H, W, 3]` in [0, 1].
+            key: not used.
+            step: step of the stage, for the weights.
+        """
         assert clips.frames is not None
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
-        seen = jax.vmap(model.observe)(frames)
-        x = seen.keypoints.reshape(frames.shape[0], -1)
+        observed = jax.vmap(model.observe)(frames)
+        x = observed.keypoints.reshape(frames.shape[0], -1)
         done = jnp.minimum(step / self.steps, 1.0)
-        left_alone = _ends(model, x) & (done < self.joints)
-        uneven, couples = _unevenness(model, jnp.where(left_alone[None, :], jax.lax.stop_gradient(x), x))
+        fixed = _ends(model, x) & (done < self.joints)
+        uneven, couples = _unevenness(model, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
         terms = {
-            "reconstruction": squared_error(jax.vmap(model.renderer)(seen.keypoints), frames),
-            "heat_map": _focus(seen.heat_maps, seen.keypoints, (frames.shape[1], frames.shape[2]), self.sigma),
+            "reconstruction": squared_error(jax.vmap(model.renderer)(observed.keypoints), frames),
+            "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": jnp.sum(uneven),
         }
         first, last = self.constraint
@@ -68,12 +79,16 @@ class VisionLoss(AbstractLoss):
 
 
 class TrackLoss(AbstractLoss):
-    """Learns to move, from cached keypoints: each group of a clip starts a motion through all groups.
+    """Loss of roll-outs on cached keypoints: their mean pseudo-Huber distance.
 
-    Mean over motions and frames of the pseudo-Huber distance 2s²(√(1 + (Δx/s)²) − 1), summed over components,
-    between the roll-out and the cached keypoints: Δx² while small, growing linearly where a roll-out has lost its way.
+        L = mean over clips, roll-outs and frames of Σ_c 2 s² (√(1 + (x̂_c − x_c)²/s²) − 1)
 
-    - `scale`: s, in image-plane units.
+    c counts components. Each group of consecutive frames in a clip gives an initial state, whose roll-out x̂ passes all
+    frames of the clip; x are the cached keypoints. The distance is (x̂_c − x_c)² where it is small and grows linearly
+    where a roll-out has diverged. Ours, in no paper.
+
+    Attributes:
+        scale: s, image-plane units; 0.1 for a first training of the dynamics.
     """
 
     scale: float = 0.1
@@ -81,7 +96,7 @@ class TrackLoss(AbstractLoss):
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluates the loss on clips of cached keypoints."""
+        """Evaluate the loss on groups of cached keypoints, `[B, F, 2K]`; `key` and `step` are not used."""
         assert clips.cached is not None
         rolled = _rolled_out(model, clips.cached, clips)
         track = _distance(rolled, clips.cached, self.scale)
@@ -89,17 +104,21 @@ class TrackLoss(AbstractLoss):
 
 
 class PredictionLoss(AbstractLoss):
-    """Sees and moves together: each group of a clip starts a motion, and every frame is drawn from one of them.
+    """Loss of predictions, for all parts together: L = L_r + w_t L_t + w_c Σ_i U_i + w_h L_h.
 
-    reconstruction of the rolled-out keypoints + `track` · |rolled-out − seen|² over all motions and frames
-    + `constraint` · unevenness of Φ + `heat_map` · focus. The encoder is thus judged by how well two of its keypoint
-    sets start a long motion, which is what decides a prediction.
+    L_t is the pseudo-Huber distance between roll-outs and observed keypoints (`TrackLoss`), U_i and L_h are those of
+    `VisionLoss`. L_r is the reconstruction error, eq. (10), of frames rendered from rolled-out keypoints: each group of
+    consecutive frames from its own roll-out or that of an earlier group, sampled uniformly. The estimator is thus
+    trained for initial states that give good long predictions. Ours, in no paper.
 
-    - `track`: weight of the squared distance in image-plane units; 3000 makes an eighth of a pixel cost what an
-      ordinary reconstruction error costs.
-    - `scale`: s of the pseudo-Huber distance that stands for the square (see `TrackLoss`). Motions that are lost, as
-      those backward from a fast pole often are, miss by 0.5; those that can be mended, by 0.01, and must not count for
-      nothing.
+    Attributes:
+        track: w_t, for squared distances in image-plane units. With 3000 an error of an eighth of a pixel costs as much
+            as a usual reconstruction error.
+        constraint: w_c.
+        heat_map: w_h.
+        sigma: σ of the Gaussians of L_h, image-plane units.
+        scale: s of the pseudo-Huber distance, image-plane units. Diverged roll-outs, such as those backward from a fast
+            pole, have errors of 0.5; those that training can correct have 0.01 and must still count.
     """
 
     track: float = 3000.0
@@ -111,24 +130,31 @@ class PredictionLoss(AbstractLoss):
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluates the loss on clips of groups of consecutive frames."""
+        """Evaluate the loss.
+
+        Args:
+            model: with all parts.
+            clips: groups of `model.context` consecutive frames, `[B, F, H, W, 3]` in [0, 1].
+            key: for the choice of roll-outs that are rendered.
+            step: not used.
+        """
         assert clips.frames is not None
         batch, count, height, width, _ = clips.frames.shape
         frames = clips.frames.reshape(-1, height, width, 3)
-        seen = jax.vmap(model.observe)(frames)
-        x = seen.keypoints.reshape(batch, count, -1)
+        observed = jax.vmap(model.observe)(frames)
+        x = observed.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
-        # Each group's frames are drawn from its own motion or an earlier one, whichever comes up.
+        # Each group's frames are rendered from its own roll-out or an earlier one, sampled uniformly.
         own = jnp.arange(rolled.shape[1])[None, :]
-        lot = jax.random.randint(key, (batch, own.size), 0, own + 1)
-        source = jnp.repeat(lot, model.context, axis=1)
+        sampled = jax.random.randint(key, (batch, own.size), 0, own + 1)
+        source = jnp.repeat(sampled, model.context, axis=1)
         chosen = rolled[jnp.arange(batch)[:, None], source, jnp.arange(count)[None, :]]
-        drawn = jax.vmap(model.renderer)(chosen.reshape(frames.shape[0], -1, 2))
+        rendered = jax.vmap(model.renderer)(chosen.reshape(frames.shape[0], -1, 2))
         terms = {
-            "reconstruction": squared_error(drawn, frames),
+            "reconstruction": squared_error(rendered, frames),
             "track": _distance(rolled, x, self.scale),
             "constraint": jnp.sum(_unevenness(model, x.reshape(batch * count, -1))[0]),
-            "heat_map": _focus(seen.heat_maps, seen.keypoints, (height, width), self.sigma),
+            "heat_map": _divergence(observed, (height, width), self.sigma),
         }
         total = (
             terms["reconstruction"]
@@ -140,12 +166,19 @@ class PredictionLoss(AbstractLoss):
 
 
 class CollocationLoss(AbstractLoss):
-    """The paper's loss L = L_r + λ L_d, eqs. (10)–(13): reconstruction, and accelerations without integration.
+    """The paper's loss: L = L_r + λ L_d, reconstruction and accelerations without integration.
 
-    L_d compares central differences taken twice, (x_{i+2} − 2x_i + x_{i−2}) / 4h², with eq. (6) at the central
-    difference of the velocity.
+        L_r = 1/n Σ_i |z'_i − z_i|²                                        eq. (10)
+        L_d = 1/n Σ_i |(x_{i+2} − 2x_i + x_{i−2}) / 4h² − ẍ(x_i, v_i, u_i)|²     eqs. (11) to (13)
+        v_i = (x_{i+1} − x_{i−1}) / 2h
 
-    - `weight`: λ = 5e-4.
+    over the n frames of a trajectory, the n − 4 interior ones in L_d, with h = dt and ẍ of eq. (6). The paper prints
+    sums over frames; λ belongs to the means over all n frames of the released code.
+
+    Source: arXiv 2206.11030v1, eqs. (10) to (13).
+
+    Attributes:
+        weight: λ; 5e-4 as published.
     """
 
     weight: float = 5e-4
@@ -153,7 +186,14 @@ class CollocationLoss(AbstractLoss):
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
-        """Evaluates the loss on windows of at least five consecutive frames."""
+        """Evaluate the loss.
+
+        Args:
+            model: with a law of accelerations.
+            clips: n ≥ 5 consecutive frames each, `[B, n, H, W, 3]` in [0, 1].
+            key: not used.
+            step: not used.
+        """
         assert clips.frames is not None
         batch, count = clips.frames.shape[:2]
         frames = clips.frames.reshape(-1, *clips.frames.shape[2:])
@@ -162,9 +202,9 @@ class CollocationLoss(AbstractLoss):
 
         def one(x: Array, u: Array, dt: Array) -> Array:
             velocity = (x[2:] - x[:-2]) / (2 * dt)
-            seen = (velocity[2:] - velocity[:-2]) / (2 * dt)
+            acceleration = (velocity[2:] - velocity[:-2]) / (2 * dt)
             inputs = jnp.broadcast_to(u[None, :], (count - 4, u.shape[0])) if u.ndim == 1 else u[2 : count - 2]
-            return seen - jax.vmap(law.acceleration)(x[2:-2], velocity[1:-1], inputs)
+            return acceleration - jax.vmap(law.acceleration)(x[2:-2], velocity[1:-1], inputs)
 
         defect = jax.vmap(one)(keypoints.reshape(batch, count, -1), clips.u, clips.dt)
         terms = {
@@ -175,40 +215,40 @@ class CollocationLoss(AbstractLoss):
         return terms["reconstruction"] + self.weight * terms["dynamics"], terms
 
 
-def _rolled_out(model: AbstractKeypointModel, seen: Array, clips: Clip) -> Array:
-    """Positions `[batch, groups, F, 2K]` at the clips' frames, of the motions that each group of sightings starts."""
+def _rolled_out(model: AbstractKeypointModel, observed: Array, clips: Clip) -> Array:
+    """Return positions `[batch, groups, F, 2K]` at the clips' frames, of a roll-out from each group of observations."""
     given = model.context
 
     def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
         def inputs(frames: Array) -> Array:
-            # Beyond the clip nothing is read, so any input will do.
+            # Positions beyond the clip are not read, so any input serves there.
             return u if u.ndim == 1 else u[jnp.clip(frames, 0, clips.span - 1)]
 
         def motion(group: Array, first: Array) -> Array:
-            start = model.initial_state(model.dynamics, group, dt, inputs(first + jnp.arange(given)))
+            initial = model.initial_state(model.dynamics, group, dt, inputs(first + jnp.arange(given)))
             now = first + model.initial_state.anchor
 
             def pass_frame(state: State, k: Array) -> tuple[State, Array]:
-                # Backward to the clip's first frame, then forward from the start again: no frame is passed twice.
-                state = jax.tree.map(lambda here, there: jnp.where(k == now, there, here), state, start)
+                # Backward to the clip's first frame, then forward from the initial state: each frame is passed once.
+                state = jax.tree.map(lambda here, there: jnp.where(k == now, there, here), state, initial)
                 frame, sign = jnp.where(k < now, now - 1 - k, k), jnp.where(k < now, -1.0, 1.0)
                 state = model.dynamics.step(state, inputs(frame), sign * dt)
                 return state, state.coordinates.x
 
-            _, path = jax.lax.scan(pass_frame, start, jnp.arange(clips.span - 1))
+            _, path = jax.lax.scan(pass_frame, initial, jnp.arange(clips.span - 1))
             passed = path[jnp.where(index < now, now - 1 - index, jnp.maximum(index - 1, 0))]
-            return jnp.where((index == now)[:, None], start.coordinates.x, passed)
+            return jnp.where((index == now)[:, None], initial.coordinates.x, passed)
 
         return jax.vmap(motion)(x.reshape(-1, given, x.shape[-1]), index[::given])
 
-    return jax.vmap(one)(seen, clips.index, clips.u, clips.dt)
+    return jax.vmap(one)(observed, clips.index, clips.u, clips.dt)
 
 
 def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
-    """How far a batch of keypoints is from one common value of each Φᵢ, and which Φᵢ tie several keypoints.
+    """Return the unevenness U_i of each constraint over a batch, and whether it is on several keypoints.
 
-    The first is mean (Φᵢ − mean Φᵢ)² / |DΦᵢ|², a squared length. Without the division keypoints would gain by coming
-    together: the variance of a squared distance d² is 4d² times that of d.
+    The division by |DΦ_i|² makes U_i independent of the scale of Φ_i. Without it keypoints would move together: the
+    variance of a squared distance d² is 4d² times that of d.
     """
     values, slopes = jax.vmap(model.constraint)(x), _slopes(model, x)
     couples = jnp.sum(jnp.any(slopes > 0, axis=0), axis=-1) > 1
@@ -217,7 +257,10 @@ def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
 
 
 def _ends(model: AbstractKeypointModel, x: Array) -> Array:
-    """Which components `[2K]` belong to keypoints that a single constraint ties to a joint, itself under several."""
+    """Return which components `[2K]` belong to ends: keypoints under one constraint, which is shared with a joint.
+
+    A joint is a keypoint under several constraints.
+    """
     touched = jnp.any(_slopes(model, x) > 0, axis=0)
     joint = jnp.sum(touched, axis=0) > 1
     to_joint = jnp.any(touched & joint[None, :], axis=1)
@@ -225,28 +268,29 @@ def _ends(model: AbstractKeypointModel, x: Array) -> Array:
 
 
 def _slopes(model: AbstractKeypointModel, x: Array) -> Array:
-    """|∂Φᵢ/∂xₖ|² `[batch, constraint, keypoint]`."""
+    """Return |∂Φ_i/∂x_k|² as `[batch, constraint, keypoint]`."""
     jacobian = jax.vmap(jax.jacfwd(model.constraint))(x)
     return jnp.sum(jacobian.reshape(*jacobian.shape[:2], x.shape[-1] // 2, 2) ** 2, axis=-1)
 
 
-def squared_error(drawn: Float[Array, "B H W 3"], frames: Float[Array, "B H W 3"]) -> Float[Array, ""]:
-    """Squares summed over pixels and channels, mean over frames."""
-    return jnp.mean(jnp.sum((drawn - frames) ** 2, axis=(1, 2, 3)))
+def squared_error(rendered: Float[Array, "B H W 3"], frames: Float[Array, "B H W 3"]) -> Float[Array, ""]:
+    """Return the squared error, summed over pixels and channels, mean over frames."""
+    return jnp.mean(jnp.sum((rendered - frames) ** 2, axis=(1, 2, 3)))
 
 
-def _distance(rolled: Array, seen: Array, scale: float) -> Array:
-    """Mean pseudo-Huber distance of all motions `[batch, groups, F, 2K]` from what was seen `[batch, F, 2K]`."""
-    error = rolled - seen[:, None]
+def _distance(rolled: Array, observed: Array, scale: float) -> Array:
+    """Return the mean pseudo-Huber distance of roll-outs `[batch, groups, F, 2K]` from keypoints `[batch, F, 2K]`."""
+    error = rolled - observed[:, None]
     return jnp.mean(jnp.sum(2 * scale**2 * (jnp.sqrt(1 + (error / scale) ** 2) - 1), axis=-1))
 
 
-def _focus(maps: Array | None, keypoints: Array, size: tuple[int, int], sigma: float) -> Array:
-    """Cross-entropy between each heat map and a Gaussian at its own keypoint, minus the Gaussian's entropy."""
+def _divergence(observed: Observation, size: tuple[int, int], sigma: float) -> Array:
+    """Return the divergence L_h of heat maps from Gaussians at their own keypoints; 0 without heat maps."""
+    maps = observed.heat_maps
     if maps is None:
         return jnp.zeros(())
     grid = image_grid(*size, size[0] // maps.shape[-2])
-    blobs = jax.vmap(lambda x: gaussian_maps(x, grid, sigma))(jax.lax.stop_gradient(keypoints))
+    blobs = jax.vmap(lambda x: gaussian_maps(x, grid, sigma))(jax.lax.stop_gradient(observed.keypoints))
     target = blobs.transpose(0, 3, 1, 2)
     target = target / (jnp.sum(target, axis=(2, 3), keepdims=True) + 1e-12)
     divergence = target * (jnp.log(target + 1e-12) - jnp.log(maps + 1e-12))

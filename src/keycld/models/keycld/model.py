@@ -22,17 +22,17 @@ from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
 
 
 class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
-    """Keypoint estimator, dynamics of keypoints, renderer (paper, sections 2 and 3).
+    """Keypoint estimator, dynamics of keypoints, renderer (arXiv v1, sections 2 and 3).
 
-    The state holds the keypoints' positions and velocities in image-plane units, together with the constants at
-    which the constraints hold Φ along this trajectory.
+    The state holds positions and velocities of the keypoints in image-plane units, and the constant values of Φ along
+    this trajectory.
 
     Attributes:
         estimator: frame → keypoints, eq. (8).
-        dynamics: a law of motion and the integrator that moves the keypoints.
+        dynamics: the law of motion of the keypoints and its integrator.
         renderer: keypoints → frame, eq. (9).
         initial_state: keypoints of the given frames → state.
-        velocity_prior: what is known of a first velocity besides the given frames. None: nothing.
+        velocity_prior: the prior of the initial velocity; None: the velocity is that of the given frames.
     """
 
     estimator: AbstractEstimator
@@ -43,17 +43,17 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
 
     @property
     def context(self) -> int:
-        """As many frames as the initial state takes."""
+        """The number of frames that the initial state needs."""
         return self.initial_state.given
 
     @property
     def moving_law(self) -> AbstractLaw:
-        """The law of motion: accelerations, and for KeyCLD its energies."""
+        """The law of motion: accelerations, and for KeyCLD energies."""
         return self.dynamics.law
 
     @property
     def inputs(self) -> int:
-        """How many inputs the law of motion takes."""
+        """The number of inputs of the law of motion."""
         law = self.moving_law
         assert isinstance(law, (ConstrainedLagrangian, SecondOrderNetwork))
         return law.inputs
@@ -68,10 +68,10 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         return law.constraint(x) if isinstance(law, ConstrainedLagrangian) else x[:0]
 
     def observe(self, frame: Float[Array, "H W 3"]) -> Observation:
-        """Estimate the keypoints of one frame, and its heat maps where the estimator has any.
+        """Estimate the keypoints of one frame, and its heat maps if the estimator has any.
 
         Raises:
-            KeycldError: the frame has another size than the model renders.
+            KeycldError: the frame does not have the size of the rendered frames.
         """
         check_size(frame, self.renderer.size)
         return self.estimator(frame)
@@ -93,7 +93,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         """Estimate the state from the keypoints of the first `context` frames.
 
         Raises:
-            KeycldError: frames of another size, or another number of inputs, than the model knows.
+            KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         check_inputs(u, self.inputs)
         x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
@@ -104,17 +104,17 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         return self.velocity_prior(self.dynamics, state, u if u.ndim == 1 else u[0])
 
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
-        """Integrate the dynamics; the constraints' constants stay those of the given state."""
+        """Integrate the dynamics; the constants of the constraints stay those of the given state."""
         motion = self.dynamics.rollout(state, u, dt, steps)
         parameters = jax.tree.map(lambda p: jnp.broadcast_to(p, (steps + 1, *p.shape)), state.parameters)
         return State(motion, parameters)
 
 
 class KeyCLD(AbstractKeypointModel, HasLagrangian):
-    """Keypoints moved by a constrained Lagrangian (M, V, g, Φ), eq. (6); known up to one common factor.
+    """Keypoints whose dynamics are a constrained Lagrangian (M, V, g, Φ), eq. (6).
 
-    The paper's ablations are the same composition of other parts: KeyCLD-NC has a law without constraints, FC a
-    `DenseEstimator` and a `DenseRenderer`. NODE2 is a class of its own, because it has no energies.
+    M, V and g are known up to one common factor. The paper's ablations replace parts: KeyCLD-NC has a law without
+    constraints, FC a `DenseEstimator` and a `DenseRenderer`. NODE2 is a class of its own, because it has no energies.
     """
 
     velocity_prior: VelocityPrior | None = None
@@ -127,11 +127,11 @@ class KeyCLD(AbstractKeypointModel, HasLagrangian):
 
     @property
     def constants(self) -> Float[Array, " n"] | None:
-        """Values of Φ that training measured over all pictures; None where each trajectory has its own."""
+        """Values of Φ that training measured over all frames; None where each trajectory has its own."""
         return self.initial_state.shared
 
 
 class NODE2(AbstractKeypointModel):
-    """Keypoints moved by a second-order neural differential equation: no energies, no constraints."""
+    """Keypoints whose dynamics are a second-order neural differential equation: no energies, no constraints."""
 
     velocity_prior: None = None

@@ -1,4 +1,7 @@
-"""What a stage does to model and data before its first step, and what it warns of after its last."""
+"""Preparations before the first step of a stage, and the warning after the vision stage.
+
+A preparation is a function (model, resident data) → (model, resident data).
+"""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -14,17 +17,21 @@ from keycld.mechanics import Motion, State, fit_motions
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
-# Mean frame and deviation are those of at least so many trajectories, if there are as many.
+# Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 1000
-# Compiled once for all stages that fit.
+# Compiled once for all stages.
 _fit = eqx.filter_jit(fit_motions)
 
 
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Put the training data's mean frame and deviation into the estimator and the renderer."""
+    """Put the mean frame and the deviation of the training data into the estimator and the renderer.
+
+    Raises:
+        KeycldError: all training frames are the same.
+    """
     mean, deviation = _mean_and_deviation(data)
     if not deviation > 0:
-        raise KeycldError("all training pictures are the same: there is no motion to learn from; check the data.")
+        raise KeycldError("all training frames are the same, so there is no motion to learn from: check the data.")
     model = eqx.tree_at(
         lambda m: (m.estimator.standardise.mean, m.estimator.standardise.deviation, m.renderer.background),
         model,
@@ -34,32 +41,37 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
 
 
 def warn_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
-    """Return a warning where the vision stage has failed: much of what moves is missing from the rendered pictures.
+    """Return a warning if the vision stage has failed: moving parts are missing from the rendered frames.
 
-    Measured: successful stages left 0.05 to 0.08 of the mean picture's error, failed ones 0.27 to 1.0; the later stages
-    seldom repair that.
+    The criterion is the reconstruction error as a share of the error of the mean frame. Measured: 0.05 to 0.08 after
+    successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
+
+    Args:
+        model: after the stage.
+        terms: the last logged terms of the loss.
     """
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
     share = terms["reconstruction"] / whole
     if share < 0.2:
         return None
     return (
-        f"the keypoints have not found their parts: {share:.2f} of the mean picture's error is left, where less than "
-        "0.1 is usual. Training goes on, but predictions will be poor. Try another --seed, or --vision.steps 2000."
+        f"the keypoints have not found their parts: the reconstruction error is {share:.2f} of the mean picture's "
+        "error, and less than 0.1 is usual. Training continues, but predictions will be poor. Try another --seed, or "
+        "--vision.steps 2000."
     )
 
 
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Add the keypoints that the model's estimator finds in every training frame."""
+    """Cache the keypoints that the model observes in every training frame, `[N, T, 2K]`."""
     count, length = data.image.shape[:2]
-    seen = [_observe(model, data.image[i]) for i in range(count)]
+    observed = [_observe(model, data.image[i]) for i in range(count)]
     return model, eqx.tree_at(
-        lambda d: d.cached, data, jnp.stack(seen).reshape(count, length, -1), is_leaf=lambda x: x is None
+        lambda d: d.cached, data, jnp.stack(observed).reshape(count, length, -1), is_leaf=lambda x: x is None
     )
 
 
 def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Put the mean of Φ over all cached keypoints into the model, if its trajectories share their constants."""
+    """Put the mean of Φ over all cached keypoints into the model, if its trajectories share constants."""
     if model.initial_state.shared is None:
         return model, data
     assert data.cached is not None
@@ -70,9 +82,13 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
 def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
     """Fit masses and the affine parts of V and g to the cached keypoints, by least squares through the dynamics.
 
-    Gradient steps on a few clips leave these numbers several per cent off, which decides long predictions; whole
-    trajectories, about so many of them, pin them down: some fifty numbers are sought. A model without a Lagrangian is
-    left as it is.
+    Gradient steps on a few clips leave errors of several per cent in these numbers, about fifty, and such errors limit
+    long predictions. Whole trajectories determine them. A model without a Lagrangian is returned unchanged.
+
+    Args:
+        model: the model whose dynamics are fitted.
+        data: with cached keypoints.
+        trajectories: about how many of the trajectories are used.
     """
     dynamics = model.dynamics
     if not isinstance(model, KeyCLD):
@@ -98,11 +114,17 @@ def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tupl
 
 
 def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
-    """Measure the velocity prior on training recordings, from the cached keypoints.
+    """Measure the velocity prior (`VelocityPrior`) on the cached keypoints of training recordings.
 
-    Of about so many recordings: τ is the time after rest that predicts them best, σ_s² / (σ_s² + σ_b²) the share of the
-    way from the observed velocities to those τ after rest that does. The sum is the median of what lies between, so
-    that some recordings may have any first velocity. A model without a prior is left as it is.
+    τ is the time after rest whose velocities τ a predict the recordings best. σ_s² / (σ_s² + σ_b²) is the best step
+    from the observed velocities v_s towards τ a, as a share of their difference d. σ_s² + σ_b² is the median of |d|²
+    for each degree of freedom, so that a minority of recordings may have any initial velocity. A model without a prior
+    is returned unchanged.
+
+    Args:
+        model: the model whose prior is measured.
+        data: with cached keypoints.
+        trajectories: about how many of the recordings are used.
     """
     if model.velocity_prior is None:
         return model, data
@@ -124,7 +146,7 @@ def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]
     return prepare
 
 
-# Compiled once for all stages, too.
+# Compiled once for all stages.
 @eqx.filter_jit
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
@@ -132,30 +154,32 @@ def _observe(model: Any, image: jax.Array) -> jax.Array:
 
 
 @eqx.filter_jit
-def _velocity_prior(model: Any, seen: jax.Array, u: jax.Array, dt: jax.Array, *, scale: float = 0.03) -> VelocityPrior:
+def _velocity_prior(
+    model: Any, keypoints: jax.Array, u: jax.Array, dt: jax.Array, *, scale: float = 0.03
+) -> VelocityPrior:
     dynamics, law = model.dynamics, model.dynamics.law
     freedom = law.freedom
-    initial = jax.vmap(lambda x, u: model.initial_state(dynamics, x[: model.context], dt, u))(seen, u)
+    initial = jax.vmap(lambda x, u: model.initial_state(dynamics, x[: model.context], dt, u))(keypoints, u)
     x, observed = initial.coordinates
     first = u if u.ndim == 2 else u[:, 0]
     acceleration = jax.vmap(lambda x, u: law.acceleration(x, jnp.zeros_like(x), u))(x, first)
 
-    def miss(v: jax.Array) -> jax.Array:
-        """Return the error of predictions with these first velocities; diverged ones count little."""
-        released = State(Motion(x, v), initial.parameters)
-        paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, seen.shape[1] - 1).x)(released, u)
-        far = jnp.nan_to_num(jnp.sum((paths - seen) ** 2, axis=-1), nan=1.0, posinf=1.0)
+    def error(v: jax.Array) -> jax.Array:
+        """Return the robust error of predictions with these initial velocities; diverged ones count little."""
+        states = State(Motion(x, v), initial.parameters)
+        paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, keypoints.shape[1] - 1).x)(states, u)
+        far = jnp.nan_to_num(jnp.sum((paths - keypoints) ** 2, axis=-1), nan=1.0, posinf=1.0)
         return jnp.mean(jnp.sqrt(1 + far / scale**2))
 
     def best(choices: jax.Array, velocities: Any) -> jax.Array:
-        return choices[jnp.argmin(jax.lax.map(lambda choice: miss(velocities(choice)), choices))]
+        return choices[jnp.argmin(jax.lax.map(lambda choice: error(velocities(choice)), choices))]
 
     elapsed = best(dt * jnp.linspace(0.0, 3.0, 31), lambda elapsed: elapsed * acceleration)
     off = observed - elapsed * acceleration
     part = best(jnp.linspace(0.0, 1.0, 21), lambda part: observed - part * off)
     # The median of χ² with n degrees of freedom is near n (1 − 2/9n)³.
     variance = jnp.nanmedian(jnp.sum(off**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3) + 1e-12
-    speed = jnp.sqrt(jnp.mean(jnp.sum(jnp.diff(seen, axis=1) ** 2, axis=-1)) / freedom) / dt
+    speed = jnp.sqrt(jnp.mean(jnp.sum(jnp.diff(keypoints, axis=1) ** 2, axis=-1)) / freedom) / dt
     return VelocityPrior(elapsed, jnp.sqrt((1 - part) * variance), jnp.sqrt(part * variance), speed)
 
 

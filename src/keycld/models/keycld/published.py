@@ -46,18 +46,18 @@ def build(
     tolerance: float,
     pull_back: bool,
 ) -> AbstractKeypointModel:
-    """Build the networks of appendix A.4 with adaptive Dormand–Prince roll-outs, for any model of the family.
+    """Build the networks of arXiv v1, appendix A.4, with adaptive Dormand–Prince roll-outs.
 
     Args:
-        config: tells which model, and the constraints.
-        scene: sizes.
-        key: of all random weights.
+        config: names the model and holds the constraints.
+        scene: sizes of the data.
+        key: for all random weights.
         width: `num_hidden_dim` of A.4.
-        sigma: of the renderer's blobs, image-plane units.
-        unit_masses: initial masses of 1; else their roots are N(0, 0.01²).
-        distances: constraints measure distances; else their squares.
-        tolerance: of the roll-outs in predictions.
-        pull_back: whether these pull Φ back to its initial value.
+        sigma: width σ of the renderer's Gaussian blobs, image-plane units.
+        unit_masses: initial masses of 1; otherwise their square roots are sampled from N(0, 0.01²).
+        distances: constraints measure distances; otherwise squared distances.
+        tolerance: relative and absolute tolerance of the roll-outs in predictions.
+        pull_back: whether these roll-outs pull Φ back to its initial value.
     """
     check_sizes(config, scene, width, stride=1)
     keys = jax.random.split(key, 5)
@@ -89,7 +89,7 @@ def _vision(
         estimator = DenseEstimator(size, count, width, None, 1, key=keys[0])
         renderer = DenseRenderer(size, count, width, None, 1, key=keys[1])
         return _as_in_flax(estimator, keys[0]), _as_in_flax(renderer, keys[1])
-    # The default of the initialiser that A.4 names for the constant feature maps has a deviation of 0.01.
+    # The initialiser that A.4 names for the constant feature maps has a standard deviation of 0.01 by default.
     features = 0.01 * jax.random.normal(keys[2], (*size, width - count))
     network = PaperUNet(width, 3, width, key=keys[1])
     return (
@@ -99,7 +99,7 @@ def _vision(
 
 
 def _as_in_flax(module: M, key: PRNGKeyArray) -> M:
-    """Return the module with the dense layers as Flax initialises them: LeCun-normal kernels and zero biases."""
+    """Return the module with its dense layers initialised as in Flax: LeCun-normal kernels and zero biases."""
 
     def dense(tree: M) -> list[eqx.nn.Linear]:
         found = jax.tree.leaves(tree, is_leaf=lambda leaf: isinstance(leaf, eqx.nn.Linear))
@@ -116,7 +116,13 @@ def _as_in_flax(module: M, key: PRNGKeyArray) -> M:
 
 
 def check_sizes(config: KeyCLDConfig, scene: Scene, width: int, stride: int) -> None:
-    """Refuse pictures and widths that a U-Net's two halvings and eight groups of channels cannot divide.
+    """Refuse frames and widths that do not fit a U-Net, which halves the frame twice and has eight channel groups.
+
+    Args:
+        config: its number of keypoints must be below `width`.
+        scene: height and width must be multiples of 4 `stride`.
+        width: channels; must be a multiple of 8.
+        stride: pixels of a heat-map cell.
 
     Raises:
         KeycldError: names the size and what fits.
@@ -124,19 +130,23 @@ def check_sizes(config: KeyCLDConfig, scene: Scene, width: int, stride: int) -> 
     cell = 4 * stride
     if scene.height % cell or scene.width % cell:
         raise KeycldError(
-            f"this preset needs pictures whose sides are multiples of {cell}, not {scene.height} × {scene.width}: "
-            "make or import them with another size."
+            f"this preset needs frames whose sides are multiples of {cell}, not {scene.height} × {scene.width}: "
+            "make or import them in another size."
         )
     if width % 8 or width <= config.keypoints:
-        raise KeycldError(f"width is a multiple of 8 above the number of keypoints, not {width}.")
+        raise KeycldError(
+            f"width is a multiple of 8 above the number of keypoints, {config.keypoints}, not {width}: set another one."
+        )
 
 
 def plain_initial_state(given: int) -> AbstractInitialState:
-    """Return a differenced first velocity: backward from two frames (v1), central from three (2024).
+    """Return the initial state with a velocity by differences: backward from two frames (v1), central from three.
 
     Raises:
-        KeycldError: for another number of given frames.
+        KeycldError: another number of given frames.
     """
     if given not in (2, 3):
-        raise KeycldError(f"a differenced velocity takes 2 or 3 given frames, not {given}.")
+        raise KeycldError(
+            f"a velocity by differences needs 2 or 3 given frames, not {given}: set given to one of them."
+        )
     return DifferenceInitialState() if given == 2 else CentralInitialState()

@@ -1,4 +1,4 @@
-"""The velocity that recordings usually have in their first frame."""
+"""The prior of the initial velocity."""
 
 import equinox as eqx
 import jax
@@ -12,29 +12,28 @@ _TAIL = 4
 
 
 class VelocityPrior(eqx.Module):
-    """The prior of a first velocity: most recordings of a mechanism show it released from rest, or nearly.
+    """The prior of the initial velocity: most recordings of a mechanism show it released from rest, or nearly so.
 
-    A motion that was at rest τ before its first frame has the initial velocity v ≈ τ a, where a(x, u) is the learned
-    acceleration at rest; a motion that is taken up in its middle has any velocity. Two pictures alone tell the velocity
-    no better than to a few hundredths of a pixel a frame, which decides how long a prediction holds. Nearly by Bayes'
-    rule, with n degrees of freedom and equal prior belief in either kind,
+    A motion that was at rest a time τ before its first frame has the initial velocity v ≈ τ a, where a(x, u) is the
+    learned acceleration at rest; a recording from the middle of a motion has any initial velocity. Two frames alone
+    give the velocity to a few hundredths of a pixel a frame, and this error limits how long a prediction is valid.
+    Bayes' rule, approximated, with n degrees of freedom and equal prior probability of both kinds:
 
         v = τ a + b,  b ~ N(0, σ_b²)   or   v ~ N(0, σ_v²);      v_s = v + e,  e ~ Student's t_ν(0, σ_s²)
         d = v_s − τ a,   s² = σ_s² + σ_b²
         r = P(released | v_s) = 1 / (1 + (1 + |d|²/νs²)^((ν+n)/2) (s/σ_v)ⁿ exp(−|v_s|²/2σ_v²))
         v̂ = v_s − r w σ_s² / (w σ_s² + σ_b²) d,   w = (ν + |d|²/s²) / (ν + n)
 
-    An observed velocity v_s that is far from τ a stays as observed. w says how large this error e seems to be. Nearly:
-    b + e is taken for a Student's t of its own, whose constant compared with the normal distribution's is left out
-    (1.06 for n = 1, 1 for n = 2), and σ_s is neglected compared with σ_v. The numbers are measured on training
-    recordings, not trained; losses use the observed velocity alone. Fresh ones know nothing and change nothing
-    (σ_s = 0).
+    An observed velocity v_s that is far from τ a stays as observed. The weight w estimates the size of this error e.
+    Approximations: b + e is treated as one Student's t, its normalisation relative to the normal distribution is left
+    out (1.06 for n = 1, 1 for n = 2), and σ_s is neglected compared with σ_v. The numbers are measured on training
+    recordings (`measure_velocity_prior`), not trained; losses use the observed velocity. Ours, in no paper.
 
     Attributes:
-        elapsed: τ, seconds. About one frame where recordings have their first frame one step after rest.
+        elapsed: τ, seconds; about dt where the first frame is one step after rest.
         spread: σ_b of one component of a velocity, image-plane units a second.
-        observation: σ_s, likewise.
-        speed: σ_v, likewise.
+        observation: σ_s of one component, image-plane units a second; 0 before it is measured: no change.
+        speed: σ_v of one component, image-plane units a second.
     """
 
     elapsed: Float[Array, ""]
@@ -44,12 +43,18 @@ class VelocityPrior(eqx.Module):
 
     @classmethod
     def unknown(cls) -> "VelocityPrior":
-        """Return the prior before anything is measured."""
+        """Return the prior before it is measured, which changes no velocity."""
         zero, one = jnp.zeros(()), jnp.ones(())
         return cls(zero, one, zero, one)
 
     def __call__(self, dynamics: MechanicalDynamics, state: State, u: Float[Array, "l"]) -> State:
-        """Return the state with the likelier velocity; `u` acts at its frame."""
+        """Return the state with the expected velocity v̂.
+
+        Args:
+            dynamics: with a constrained Lagrangian, which gives a and n.
+            state: at the first frame, with the observed velocity v_s.
+            u: the input at that frame.
+        """
         law, (x, v) = dynamics.law, state.coordinates
         assert isinstance(law, ConstrainedLagrangian)
         off = v - self.elapsed * law.acceleration(x, jnp.zeros_like(v), u)

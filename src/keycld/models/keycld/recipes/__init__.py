@@ -1,1 +1,1 @@
-"""The presets of the KeyCLD family, one file each: a config, importable without JAX, that registers itself."""
+"""The presets of the KeyCLD family: one file for each, with a config that registers itself and needs no JAX."""

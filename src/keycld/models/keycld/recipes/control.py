@@ -1,4 +1,4 @@
-"""The default preset for models that plan."""
+"""The preset for models that plan."""
 
 import dataclasses
 import functools
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 @register_preset("control", *MODELS)
 @dataclasses.dataclass(frozen=True)
 class ControlConfig(FastConfig):
-    """`fast` with a longer last stage and, after it, one more least-squares fit of the dynamics.
+    """The preset `fast` with a longer last stage and, after it, one more least-squares fit of the dynamics.
 
-    Prediction hardly asks for exact forces, planning does: with the fit the acrobot's elbow torque is .96 of MuJoCo's
-    instead of .92, and a motion that is planned with one motor for two links arrives.
+    Planning needs more exact forces than prediction does. With the fit the learned elbow torque of the acrobot is .96
+    of MuJoCo's instead of .92, and motions planned with one motor for two links reach their goal.
     """
 
     long: JointStage = JointStage(steps=10800, horizons=(32, 50))
     """Fourth stage."""
     last_fit: int = 225
-    """Trajectories of the last fit."""
+    """Trajectories of the last least-squares fit."""
 
     def __post_init__(self) -> None:
         """Refuse a fit without a trajectory."""
@@ -34,7 +34,7 @@ class ControlConfig(FastConfig):
         at_least_one(self, "last_fit")
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return those of `fast`, and one without steps that fits."""
+        """Return the stages of `fast`, and one without steps that fits the dynamics."""
         from keycld.models.keycld import prepare
 
         stages = super().stages(scene)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True)
 class VisionStage:
-    """Single frames: reconstruction, focused heat maps, constant constraint values."""
+    """Estimator and renderer on single frames: reconstruction, narrow heat maps, even values of the constraints."""
 
     steps: int = 1000
     """Optimiser steps."""
@@ -27,9 +27,9 @@ class VisionStage:
     rate: float = 1e-2
     """Peak learning rate of estimator and renderer."""
     candidates: int = 4
-    """Random initialisations that are tried; the best one continues."""
+    """Random initialisations to try; the best one continues."""
     trial: int = 200
-    """Steps of each try."""
+    """Steps of each trial."""
     heat_map: float = 1.0
     """Weight of the cross-entropy between a heat map and a Gaussian at its own keypoint."""
     sigma: float = 0.05
@@ -37,14 +37,14 @@ class VisionStage:
     constraint: tuple[float, float] = (100.0, 1000.0)
     """Weight of the unevenness of the constraints at the first and the last step, linear between."""
     coupling: float = 10.0
-    """The same weight at first for constraints on several keypoints; above zero."""
+    """Initial value of this weight for constraints on several keypoints; above zero."""
     joints: float = 0.85
-    """Share of the steps in which such constraints move joints alone."""
+    """Share of the steps in which constraints on several keypoints move only the joints."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsStage:
-    """Roll-outs on cached keypoints, no pictures."""
+    """Dynamics alone: roll-outs on cached keypoints."""
 
     steps: int = 600
     """Optimiser steps."""
@@ -53,19 +53,19 @@ class DynamicsStage:
     rate: float = 1e-2
     """Peak learning rate of the dynamics."""
     horizons: tuple[int, ...] = (8, 24)
-    """Frames that a clip spans; each holds for an equal part of the steps."""
+    """Frames that a clip spans; each value holds for an equal part of the steps."""
     scale: float = 0.1
-    """Distance, image-plane units, from which on a miss counts linearly instead of squared."""
+    """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
 
 
 @dataclasses.dataclass(frozen=True)
 class JointStage:
-    """Everything together, rendered from motions that start at two frames anywhere."""
+    """All parts together: frames rendered from roll-outs from any two consecutive frames."""
 
     steps: int
     """Optimiser steps."""
     horizons: tuple[int, ...]
-    """Frames that a clip spans; each holds for an equal part of the steps."""
+    """Frames that a clip spans; each value holds for an equal part of the steps."""
     batch: int = 2
     """Clips a step."""
     rate: float = 2e-3
@@ -75,7 +75,7 @@ class JointStage:
     track: float = 3000.0
     """Weight of the squared distance between rolled-out and observed keypoints."""
     scale: float = 0.03
-    """Distance, image-plane units, from which on a miss counts linearly instead of squared."""
+    """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
     constraint: float = 100.0
     """Weight of the unevenness of the constraints."""
     heat_map: float = 1.0
@@ -93,20 +93,21 @@ _FLAT = {
     "energy_rate": ("joint.energy_rate", "long.energy_rate"),
     "begin": ("first_frames",),
 }
-"""Settings of schema 1 by name, with today's."""
+"""Settings of schema 1, with the current names."""
 
 
 @register_preset("fast", *MODELS)
 @dataclasses.dataclass(frozen=True)
 class FastConfig(KeyCLDConfig):
-    """See first, then move, then both: minutes on two CPU cores.
+    """The default preset: vision first, then dynamics, then both together; minutes on two CPU cores.
 
     1. `vision`: single frames.
     2. `dynamics`: roll-outs on cached keypoints.
-    3. `joint`: everything together. 4. `long`: the same to the end of the recordings.
+    3. `joint`: all parts together.
+    4. `long`: the same, up to the end of the recordings.
     5. `prior`: no steps; measures the velocity prior. Then the validation score.
 
-    Before 3 and 4 least squares fit the dynamics to whole trajectories.
+    Before stages 3 and 4 a least-squares fit of the dynamics to whole trajectories.
     """
 
     width: int = 16
@@ -116,15 +117,15 @@ class FastConfig(KeyCLDConfig):
     sigma: float = 0.1
     """Width of the renderer's blobs, image-plane units."""
     substeps: int = 4
-    """RATTLE steps a frame."""
+    """RATTLE steps for each frame."""
     coupled_masses: bool = True
-    """A full mass matrix between keypoints, for links whose mass is spread out, instead of eq. (14)."""
+    """A full mass matrix between keypoints, for links with distributed mass, instead of the diagonal of eq. (14)."""
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
     given: int = 2
-    """Frames that a prediction starts from; 3 in the 2024 protocol."""
+    """Given frames of a prediction; 3 in the 2024 protocol."""
     groups: int = 4
-    """Groups of so many given frames each in a clip."""
+    """Groups of consecutive frames in a clip, each of `given` frames."""
     first_frames: float = 0.5
     """Share of the clips that contain the first frames of a trajectory."""
     vision: VisionStage = VisionStage()
@@ -137,7 +138,7 @@ class FastConfig(KeyCLDConfig):
     """Fourth stage."""
 
     def __post_init__(self) -> None:
-        """Refuse counts of things of which there is at least one."""
+        """Refuse counts below one."""
         super().__post_init__()
         at_least_one(self, "stride", "substeps", "groups", "given")
         at_least_one(self.vision, "candidates", "trial", "batch")
@@ -146,11 +147,11 @@ class FastConfig(KeyCLDConfig):
 
     @property
     def context(self) -> int:
-        """As many frames as are given."""
+        """The number of given frames."""
         return self.given
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return the flat settings of schema 1 as today's groups."""
+        """Return the flat settings of schema 1 as the current groups."""
         if version > 1:
             return settings
         known = {name: value for name, value in settings.items() if name not in _FLAT}
@@ -163,7 +164,7 @@ class FastConfig(KeyCLDConfig):
         return light.build(self, scene, key)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return the stages vision, dynamics, joint, long, prior; horizons longer than the trajectories are cut."""
+        """Return the stages vision, dynamics, joint, long and prior; no horizon is longer than the trajectories."""
         from keycld.models.keycld import light
 
         return light.stages(self, scene)

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
 class JournalConfig(KeyCLDConfig):
     """KeyCLD as in Neurocomputing 573:127175 (2024): short roll-outs, augmentation, 40 epochs of whole trajectories.
 
-    Made for three given frames: its state is at the second, with a central difference for the velocity. Predictions do
-    not pull Φ back to its initial value. About 0.9 million frames pass through the paper's networks: a GPU's work.
+    It needs three given frames: the state is at the second, its velocity a central difference. Predictions do not pull
+    Φ back to its initial value. About 0.9 million frames pass through the paper's networks: use a GPU.
     """
 
     width: int = 32
     """`num_hidden_dim`: channels of the networks, and units of V and g; NODE2 has twice as many."""
     sigma: float = 0.1
-    """Width of the renderer's blobs and of the heat maps' targets, image-plane units."""
+    """Width of the renderer's blobs and of the targets of the heat maps, image-plane units."""
     distances: bool = True
     """Distance constraints measure distances, as in the released code; false: their squares."""
     tolerance: float = 1.4e-8
@@ -38,15 +38,15 @@ class JournalConfig(KeyCLDConfig):
     dynamics_weight: float = 1.0
     """Weight of the squared distances of the roll-outs."""
     heat_map_weight: float = 1.0
-    """Weight of the heat maps' cross-entropy."""
+    """Weight of the cross-entropy of the heat maps."""
     augment: bool = True
-    """Turn and mirror what the estimator sees."""
+    """Rotate and mirror the frames that the estimator gets, at random."""
     rate: float = 3e-4
     """Learning rate of Adam for estimator and renderer."""
     dynamics_share: float = 0.2
-    """Share of it for masses, potential and input matrix."""
+    """The learning rate of masses, potential and input matrix, as a share of `rate`."""
     clip: float = 5.0
-    """Each component of a gradient is cut to ± this."""
+    """Each component of a gradient is clipped to ± this value."""
     batch: int = 1
     """Trajectories a step."""
     epochs: int = 40

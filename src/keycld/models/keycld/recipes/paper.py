@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 class PaperConfig(KeyCLDConfig):
     """KeyCLD as in arXiv 2206.11030v1: one stage of 100 epochs, batches of one whole trajectory.
 
-    About 2.3 million frames pass through networks four times as heavy as ours: 75 minutes on the authors' GPU, a day
-    on two CPU cores. Errata are followed as listed in `docs/deviations.md`.
+    About 2.3 million frames pass through networks with four times the cost of ours: 75 minutes on the authors' GPU, a
+    day on two CPU cores. `docs/deviations.md` lists the errata that are followed.
     """
 
     width: int = 32
@@ -29,7 +29,7 @@ class PaperConfig(KeyCLDConfig):
     sigma: float = 0.1
     """Width of the renderer's blobs, image-plane units."""
     unit_masses: bool = False
-    """Initial masses of 1, as in the 2024 code; false: roots from N(0, 0.01²), as in the code of arXiv v1."""
+    """Initial masses of 1, as in the 2024 code; false: square roots from N(0, 0.01²), as in the code of arXiv v1."""
     distances: bool = True
     """Distance constraints measure distances, as in the released code; false: their squares."""
     tolerance: float = 1.4e-8
@@ -41,7 +41,7 @@ class PaperConfig(KeyCLDConfig):
     batch: int = 1
     """Trajectories a step."""
     epochs: int = 100
-    """Passes over the training trajectories; the paper's table prints a tenth of the steps."""
+    """Passes over the training trajectories; the table of the paper prints a tenth of the steps."""
     released_optimiser: bool = False
     """Drop the optimiser's state at every step, as the released code does."""
 
