@@ -1,7 +1,7 @@
-"""Convolutional pieces, channels last, on one example `[H, W, C]`.
+"""Convolutional layers, channels last, on one example `[H, W, C]`.
 
-They compute what the usual layers compute; where XLA's own form is slow on a CPU (max-pooling's gradient, the
-nearest-neighbour resize) an equal, faster form is used.
+They compute what the usual layers compute. Where XLA's own form is slow on a CPU (max-pooling's gradient, the
+nearest-neighbour resize), an equal and faster form is used.
 """
 
 from collections.abc import Callable
