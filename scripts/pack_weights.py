@@ -43,7 +43,7 @@ LIMITS = {
 
 
 def card(run: Path) -> str:
-    """Return the model's card, made from what the run has stored."""
+    """Return the model's card from what the run has stored."""
     config = json.loads((run / "config.json").read_text())
     environment = json.loads((run / "environment.json").read_text())
     last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
