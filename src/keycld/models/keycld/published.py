@@ -20,6 +20,7 @@ from keycld.mechanics import (
 from keycld.models.keycld.config import KeyCLDConfig
 from keycld.models.keycld.initial_state import AbstractInitialState, CentralInitialState, DifferenceInitialState
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
+from keycld.models.keycld.published_config import PublishedConfig
 from keycld.models.scene import Scene
 from keycld.vision import (
     AbstractEstimator,
@@ -34,44 +35,24 @@ from keycld.vision import (
 M = TypeVar("M", bound=eqx.Module)
 
 
-def build(
-    config: KeyCLDConfig,
-    scene: Scene,
-    key: PRNGKeyArray,
-    *,
-    width: int,
-    sigma: float,
-    unit_masses: bool,
-    distances: bool,
-    tolerance: float,
-    pull_back: bool,
-) -> AbstractKeypointModel:
-    """Build the networks of arXiv v1, appendix A.4, with adaptive Dormand–Prince roll-outs.
-
-    Args:
-        config: names the model and holds the constraints.
-        scene: sizes of the data.
-        key: for all random weights.
-        width: `num_hidden_dim` of A.4.
-        sigma: width σ of the renderer's Gaussian blobs, image-plane units.
-        unit_masses: initial masses of 1; otherwise their square roots are sampled from N(0, 0.01²).
-        distances: constraints measure distances; otherwise squared distances.
-        tolerance: relative and absolute tolerance of the roll-outs in predictions.
-        pull_back: whether these roll-outs pull Φ back to its initial value.
-    """
+def build(config: PublishedConfig, scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
+    """Build the networks of appendix A.4 with adaptive Dormand–Prince roll-outs, for any model of the family."""
+    width = config.width
     check_sizes(config, scene, width, stride=1)
     keys = jax.random.split(key, 5)
-    estimator, renderer = _vision(config, scene, keys[2:], width, sigma)
+    estimator, renderer = _vision(config, scene, keys[2:])
     initial, count = plain_initial_state(config.context), config.keypoints
 
     def moved_by(law: AbstractLaw) -> AdaptiveDynamics:
-        return AdaptiveDynamics(law, rtol=tolerance, atol=tolerance, pull_back=pull_back)
+        return AdaptiveDynamics(law, rtol=config.tolerance, atol=config.tolerance, pull_back=config.pull_back)
 
     if config.model == "node2":
         law = SecondOrderNetwork(2 * count, scene.inputs, 2 * width, key=keys[0])
         return NODE2(estimator=estimator, dynamics=moved_by(law), renderer=renderer, initial_state=initial)
-    masses = PointMasses.ones(count) if unit_masses else PointMasses.near_zero(count, key=jax.random.fold_in(key, 5))
-    phi = config.phi.distances() if distances else config.phi
+    masses = (
+        PointMasses.ones(count) if config.unit_masses else PointMasses.near_zero(count, key=jax.random.fold_in(key, 5))
+    )
+    phi = config.phi.distances() if config.distances else config.phi
     law = ConstrainedLagrangian(
         mass=masses,
         potential=MLPPotential(2 * count, width, key=keys[0]),
@@ -81,10 +62,8 @@ def build(
     return KeyCLD(estimator=estimator, dynamics=moved_by(law), renderer=renderer, initial_state=initial)
 
 
-def _vision(
-    config: KeyCLDConfig, scene: Scene, keys: Key[Array, "3"], width: int, sigma: float
-) -> tuple[AbstractEstimator, AbstractRenderer]:
-    count, size = config.keypoints, (scene.height, scene.width)
+def _vision(config: PublishedConfig, scene: Scene, keys: Key[Array, "3"]) -> tuple[AbstractEstimator, AbstractRenderer]:
+    count, width, size = config.keypoints, config.width, (scene.height, scene.width)
     if config.model == "fc":
         estimator = DenseEstimator(size, count, width, None, 1, key=keys[0])
         renderer = DenseRenderer(size, count, width, None, 1, key=keys[1])
@@ -94,7 +73,7 @@ def _vision(
     network = PaperUNet(width, 3, width, key=keys[1])
     return (
         KeypointEstimator(PaperUNet(3, count, width, key=keys[0]), None, stride=1),
-        Renderer(network, features, None, 1, sigma),
+        Renderer(network, features, None, 1, config.sigma),
     )
 
 
