@@ -15,7 +15,7 @@ from keycld.data import Resident
 from keycld.models import Scene, config_for
 from keycld.systems import get
 from keycld.training.memory import keep_freed_memory
-from keycld.training.step import begin, make_step
+from keycld.training.step import initial_progress, make_step
 
 ROUNDS, SETTLE, STEPS, FRAMES = 7, 5, 25, 50
 
@@ -29,7 +29,7 @@ def main():
     data = Resident(image, jnp.zeros((8, 2)), jnp.asarray(system.dt, jnp.float32))
     number, model = 2, config.build(scene, jax.random.key(1))
     stage = config.stages(scene)[number]
-    progress, rest = begin(stage, model)
+    progress, rest = initial_progress(stage, model)
     run = make_step(stage, number, 0, model, 1)
     progress, _ = run((rest, data), progress)  # the first step compiles
     seconds = {"default": [], "kept": []}

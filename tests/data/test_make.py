@@ -61,10 +61,10 @@ def test_runs_are_the_protocols(made):
 
 
 def test_pictures_show_the_states(made):
-    from keycld.systems import draw
+    from keycld.systems import render
 
     test = read(made[0].folder / "test.h5")
-    np.testing.assert_array_equal(draw(get("pendulum"), test.state[1, 10:14]).image, test.image[1, 10:14])
+    np.testing.assert_array_equal(render(get("pendulum"), test.state[1, 10:14]).image, test.image[1, 10:14])
 
 
 def test_sweeps(made):

@@ -11,8 +11,8 @@ from sample import assert_equal
 
 from keycld import KeycldError
 from keycld.data import (
-    DrawnLater,
-    StartGroups,
+    FrameGroups,
+    RenderedLater,
     WholeTrajectories,
     check,
     make_data,
@@ -107,8 +107,8 @@ def test_a_set_of_states_is_whole_and_sound(folder):
 def test_opening_renders(folder):
     test = open_data(folder).test()
     assert test.image.shape == (4, 30, 32, 32, 3)
-    drawn = get(NAME).pictures(Recording(test.time, test.state, dict(test.parameters))).image
-    np.testing.assert_array_equal(test.image, drawn)
+    rendered = get(NAME).pictures(Recording(test.time, test.state, dict(test.parameters))).image
+    np.testing.assert_array_equal(test.image, rendered)
     some = open_data(folder).split("test", rows=slice(1, 3))
     np.testing.assert_array_equal(some.image, test.image[1:3])
     np.testing.assert_array_equal(some.state, test.state[1:3])
@@ -124,12 +124,12 @@ def test_stored_pictures_are_the_rendered_ones(folder, tmp_path):
         make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1)
 
 
-@pytest.mark.parametrize("sampler", [StartGroups(4, 2, (6,), 10), WholeTrajectories(30)])
+@pytest.mark.parametrize("sampler", [FrameGroups(4, 2, (6,), 10), WholeTrajectories(30)])
 def test_clips_are_rendered_inside_the_step(folder, sampler):
     """The same clips, bit for bit, from states as from pictures, in a compiled step."""
     states = open_data(folder).split("train", images=False)
     later, now = open_data(folder).resident(), resident(with_pictures(states))
-    assert isinstance(later.image, DrawnLater) and isinstance(now.image, jax.Array)
+    assert isinstance(later.image, RenderedLater) and isinstance(now.image, jax.Array)
     assert later.image.shape == now.image.shape == (18, 30, 32, 32, 3)
     sampler.check(later)
     sample = jax.jit(lambda data, key: sampler(data, key, jnp.array(3)))
@@ -154,12 +154,15 @@ def test_states_reach_nothing_but_the_renderer(folder):
 
 def test_pictures_rendered_later_can_be_indexed(folder):
     states = open_data(folder).split("train", images=False)
-    drawn, image = resident(states).image, with_pictures(states).image
-    assert len(drawn) == 18
+    rendered, image = resident(states).image, with_pictures(states).image
+    assert len(rendered) == 18
     for found, wanted in (
-        (drawn[3], image[3]),
-        (drawn[jnp.array([[1], [4]]), jnp.array([[0, 2, 5], [1, 1, 29]])], image[[[1], [4]], [[0, 2, 5], [1, 1, 29]]]),
-        (np.asarray(drawn)[:2], image[:2]),
+        (rendered[3], image[3]),
+        (
+            rendered[jnp.array([[1], [4]]), jnp.array([[0, 2, 5], [1, 1, 29]])],
+            image[[[1], [4]], [[0, 2, 5], [1, 1, 29]]],
+        ),
+        (np.asarray(rendered)[:2], image[:2]),
     ):
         assert found.dtype == np.uint8 and found.shape == wanted.shape
         assert np.abs(np.asarray(found).astype(int) - wanted).max() <= 1

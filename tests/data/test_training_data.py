@@ -13,7 +13,7 @@ import pytest
 from sample import sample
 
 from keycld import KeycldError
-from keycld.data import DrawnLater, Resident, Windows, make_data, open_data, read, resident, write
+from keycld.data import RenderedLater, Resident, Windows, make_data, open_data, read, resident, write
 
 COUNT, FRAMES, SIZE = 7, 5, 8
 ONE = FRAMES * SIZE * SIZE * 3 + 2 * 4
@@ -130,7 +130,7 @@ def test_states_are_resident_shard_by_shard_too(tmp_path):
     )
     data = open_data(tmp_path)
     whole = data.resident()
-    assert isinstance(whole.image, DrawnLater) and whole.u.shape == (5, 0)
+    assert isinstance(whole.image, RenderedLater) and whole.u.shape == (5, 0)
     one = sum(leaf.nbytes for leaf in jax.tree.leaves(whole) if leaf.ndim) / 5
     source = data.training_data(0, budget_bytes=4 * one, shard_steps=3)
     assert source.shape == whole.shape == (5, 8, 32, 32, 3)

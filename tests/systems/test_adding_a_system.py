@@ -9,7 +9,7 @@ import pytest
 
 import keycld.systems
 from keycld.data import make_data, open_data
-from keycld.systems import AbstractMujocoSystem, Conditions, draw, get, names, register
+from keycld.systems import AbstractMujocoSystem, Conditions, get, names, register, render
 from keycld.systems.registry import _SYSTEMS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "systems.md").read_text().split("## Add a system")[1]
@@ -50,7 +50,7 @@ def test_the_pages_mujoco_system(tmp_path, monkeypatch, forget):
     run = system.record(np.random.RandomState(1), 20, Conditions())
     # m = 1 kg and gear 1, so the acceleration in m/s² is the input in newtons.
     np.testing.assert_allclose(run.state_derivative[:, 1], run.input[0], atol=1e-12)
-    image = draw(system, run.state[:1]).image[0].astype(int)
+    image = render(system, run.state[:1]).image[0].astype(int)
     red = np.argwhere(image[..., 0] > image[..., 2] + 60).mean(axis=0)
     wanted = system.landmarks(run.state[0])[0]
     np.testing.assert_allclose(red[::-1] / 31.5 - 1.0, wanted * np.array([1.0, -1.0]), atol=0.05)

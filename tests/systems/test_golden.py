@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from keycld.data.generate.protocols import PROTOCOLS, splits
-from keycld.systems import Conditions, draw, get
+from keycld.systems import Conditions, get, render
 
 GOLDEN = Path(__file__).parent / "golden"
 CONDITIONS = {"": Conditions(), "_2024": Conditions(start="random", input_limit=2.0, clip=False)}
@@ -68,7 +68,7 @@ def test_pictures_are_dm_controls(name):
     golden = [np.load(GOLDEN / f"{name}{version}.npz") for version in CONDITIONS]
     states = np.concatenate([each["state"][:, each["frames"]].reshape(-1, each["state"].shape[-1]) for each in golden])
     wanted = np.concatenate([each["image"].reshape(-1, 64, 64, 3) for each in golden])
-    pictures = draw(get(name), states)
+    pictures = render(get(name), states)
     difference = np.abs(pictures.image.astype(int) - wanted)
     if "llvmpipe" in pictures.renderer:
         near = np.all(difference <= 2, axis=-1)
@@ -80,5 +80,5 @@ def test_pictures_are_dm_controls(name):
 def test_golden_pictures_can_fail():
     golden = np.load(GOLDEN / "pendulum.npz")
     shifted = golden["state"][:2, golden["frames"]].reshape(-1, 2) + np.array([0.1, 0.0])
-    difference = np.abs(draw(get("pendulum"), shifted).image.astype(int) - golden["image"][:2].reshape(-1, 64, 64, 3))
+    difference = np.abs(render(get("pendulum"), shifted).image.astype(int) - golden["image"][:2].reshape(-1, 64, 64, 3))
     assert np.all(difference <= 2, axis=-1).mean() < 0.999

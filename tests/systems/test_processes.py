@@ -6,7 +6,7 @@ import time
 import pytest
 
 from keycld import KeycldError
-from keycld.systems import Task, draw, get, is_software, renderer_name, run_in_processes
+from keycld.systems import Task, get, is_software, render, renderer_name, run_in_processes
 
 
 def double(x):
@@ -87,13 +87,13 @@ def test_without_gl_one_sentence_names_the_packages(monkeypatch, variable, value
 
 
 def test_one_process_draws_one_system():
-    from keycld.systems.pictures import draw_in_worker
+    from keycld.systems.pictures import render_in_worker
 
     system = get("pendulum")
     other = get("acrobot")
     import numpy as np
 
-    assert draw(system, np.zeros((1, 2))).image.shape == (1, 64, 64, 3)
-    tasks = [Task(draw_in_worker, (each, np.zeros((1, len(each.state_names))))) for each in (system, other)]
+    assert render(system, np.zeros((1, 2))).image.shape == (1, 64, 64, 3)
+    tasks = [Task(render_in_worker, (each, np.zeros((1, len(each.state_names))))) for each in (system, other)]
     with pytest.raises(RuntimeError, match="cannot render"):
         list(run_in_processes(tasks, workers=1))

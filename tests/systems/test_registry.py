@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.systems import AbstractMechanism, Conditions, draw, get, names
+from keycld.systems import AbstractMechanism, Conditions, get, names, render
 
 MECHANISMS = names(AbstractMechanism)
 CASES = [
@@ -35,7 +35,7 @@ def test_two_frames_under_all_conditions(name, control, start):
 def test_two_pictures(name):
     system = get(name)
     run = system.record(np.random.RandomState(0), 2, Conditions())
-    image = draw(system, run.state).image
+    image = render(system, run.state).image
     assert image.shape == (2, system.size, system.size, 3) and image.dtype == np.uint8
     assert image.std() > 10
 

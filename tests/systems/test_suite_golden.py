@@ -52,8 +52,8 @@ def test_pictures(name):
     system, (found, parameters) = get(name), golden(name)
     state, frames = found["x"][:, found["frames"]], found["frames"]
     with jax.enable_x64(True):
-        draw = jax.vmap(jax.vmap(lambda state, constants: to_bytes(system.picture(state, constants)), (0, None)))
-        np.testing.assert_array_equal(jax.jit(draw)(state, parameters), found["image"])
+        render = jax.vmap(jax.vmap(lambda state, constants: to_bytes(system.picture(state, constants)), (0, None)))
+        np.testing.assert_array_equal(jax.jit(render)(state, parameters), found["image"])
     single = system.pictures(Recording(system.dt * frames, state, parameters)).image
     difference = np.abs(single.astype(int) - found["image"])
     assert difference.max() <= 1 and np.mean(difference > 0) <= 1e-3
@@ -73,14 +73,14 @@ def test_the_renderer_alone(name):
     case = np.load(GOLDEN / f"{name}.npz")
     colours = hue_colours(int(case["num_colors"]))[case["color_indices"]]
 
-    def draw(kind):
+    def render(kind):
         fixed = [jnp.asarray(case["radii"], kind), jnp.asarray(colours, kind), jnp.asarray(case["canvas_limits"], kind)]
         rendered = jax.jit(jax.vmap(lambda centres: to_bytes(soft_discs(centres, *fixed))))
         return np.asarray(rendered(jnp.asarray(case["positions"], kind)))
 
     with jax.enable_x64(True):
-        np.testing.assert_array_equal(draw(jnp.float64), case["image_uint8"])
-    difference = np.abs(draw(jnp.float32).astype(int) - case["image_uint8"])
+        np.testing.assert_array_equal(render(jnp.float64), case["image_uint8"])
+    difference = np.abs(render(jnp.float32).astype(int) - case["image_uint8"])
     assert difference.max() <= 1 and np.mean(difference > 0) <= 1e-4
 
 
@@ -91,13 +91,13 @@ def test_saturated_interiors_of_overlapping_discs_have_the_same_bytes_in_single_
     random, canvas = np.random.RandomState(0), np.array([-2.0, 2.0])
     centres, colours = random.uniform(-1.0, 1.0, (100, 2, 2)), hue_colours(hues)[[0, hues - 1]]
 
-    def draw(kind):
+    def render(kind):
         fixed = [jnp.asarray(value, kind) for value in (np.full(2, radius), colours, canvas)]
         return np.asarray(jax.jit(jax.vmap(lambda c: to_bytes(soft_discs(c, *fixed))))(jnp.asarray(centres, kind)))
 
     with jax.enable_x64(True):
-        exact = draw(jnp.float64)
-    single = draw(jnp.float32)
+        exact = render(jnp.float64)
+    single = render(jnp.float32)
     saturated = exact >= 254
     assert np.mean(saturated) > 1e-3
     np.testing.assert_array_equal(single[saturated], exact[saturated])

@@ -10,7 +10,7 @@ import pytest
 
 from keycld.data import Resident
 from keycld.models import Scene, config_for, models
-from keycld.training.step import begin, make_step
+from keycld.training.step import initial_progress, make_step
 from scenes import disc_pendulum
 
 SMALL = {
@@ -40,7 +40,7 @@ def test_one_step(name, preset):
     model = config.build(scene, jax.random.key(0))
     if stage.prepare is not None:
         model, data = stage.prepare(model, data)
-    progress, rest = begin(stage, model)
+    progress, rest = initial_progress(stage, model)
     progress, terms = make_step(stage, 0, 0, model, 1)((rest, data), progress)
     assert bool(progress.healthy) and np.isfinite(float(terms["loss"][0]))
     # Not the weights: the rate of a first step may be zero.

@@ -8,10 +8,10 @@ import optax
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.data import RandomFrames, Resident, StartGroups, WholeTrajectories
+from keycld.data import FrameGroups, RandomFrames, Resident, WholeTrajectories
 from keycld.models.keycld.prepare import warn_unseen
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, warmup_cosine
-from keycld.training.step import begin, diagnose, make_step
+from keycld.training.step import diagnose, initial_progress, make_step
 
 
 @pytest.fixture
@@ -27,7 +27,7 @@ def numbers(clip):
 
 
 def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
-    sampler = StartGroups(batch=256, groups=2, windows=(6,), steps=10)
+    sampler = FrameGroups(batch=256, groups=2, windows=(6,), steps=10)
     clip = sampler(data, jax.random.key(0), jnp.array(3))
     index = np.asarray(clip.index)
     assert clip.span == 6
@@ -41,7 +41,9 @@ def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
 
 
 def test_a_share_of_the_clips_begins_where_a_trajectory_does(data):
-    clip = StartGroups(batch=1000, groups=2, windows=(6,), steps=10, begin=0.5)(data, jax.random.key(0), jnp.array(3))
+    clip = FrameGroups(batch=1000, groups=2, windows=(6,), steps=10, first_frames=0.5)(
+        data, jax.random.key(0), jnp.array(3)
+    )
     first = numbers(clip)[:, 0] % 10 == 0
     # Of the other half a fifth of the windows start there, and the first of their groups two times out of six.
     assert 0.5 < first.mean() < 0.65
@@ -50,7 +52,7 @@ def test_a_share_of_the_clips_begins_where_a_trajectory_does(data):
 
 
 def test_the_window_grows_with_the_steps(data):
-    sampler = StartGroups(batch=64, groups=2, windows=(4, 7, 10), steps=9)
+    sampler = FrameGroups(batch=64, groups=2, windows=(4, 7, 10), steps=9)
     last = [int(sampler(data, jax.random.key(0), jnp.array(k)).index.max()) for k in range(9)]
     assert last == [3, 3, 3, 6, 6, 6, 9, 9, 9]
     late = sampler(data, jax.random.key(0), jnp.array(20))
@@ -61,7 +63,7 @@ def test_the_window_grows_with_the_steps(data):
 def test_cached_keypoints_take_the_place_of_pictures(data):
     tracks = jnp.arange(40.0).reshape(4, 10, 1) * jnp.ones(2)[None, None, :]
     cached = eqx.tree_at(lambda d: d.cached, data, tracks, is_leaf=lambda x: x is None)
-    clip = StartGroups(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
+    clip = FrameGroups(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
     assert clip.frames is None
     offset = clip.cached[:, :1, 0] - clip.index[:, :1]
     np.testing.assert_array_equal(clip.cached[..., 0] - offset, clip.index)
@@ -82,9 +84,9 @@ def test_a_step_number_decides_its_clips(data):
 
 def test_too_short_trajectories_are_named(data):
     with pytest.raises(KeycldError, match="10 frames but this recipe samples clips of 12"):
-        StartGroups(2, 3, (6, 12), 10).check(data)
+        FrameGroups(2, 3, (6, 12), 10).check(data)
     with pytest.raises(KeycldError, match="no room"):
-        StartGroups(2, 4, (6, 12), 10)
+        FrameGroups(2, 4, (6, 12), 10)
 
 
 class Model(eqx.Module):
@@ -138,7 +140,7 @@ class Ascending(AbstractStatefulLoss):
 def test_a_losses_own_state_changes_with_the_steps_and_takes_no_gradient(data):
     model = Model(jnp.array([3.0, 0.0]), jnp.ones(3))
     geco = stage(loss=Ascending(), optimiser=optax.sgd)
-    progress, rest = begin(geco, model)
+    progress, rest = initial_progress(geco, model)
     run = make_step(geco, 0, 0, model, 1)
     theta, multiplier = 3.0, 1.0
     for _ in range(4):
@@ -151,7 +153,7 @@ def test_a_losses_own_state_changes_with_the_steps_and_takes_no_gradient(data):
 
 def test_only_named_groups_move(data):
     model = Model(jnp.zeros(2), jnp.ones(3))
-    progress, rest = begin(stage(), model)
+    progress, rest = initial_progress(stage(), model)
     run = make_step(stage(), 0, 0, model, 20)
     progress, terms = run((rest, data), progress)
     trained = eqx.combine(progress.parameters, rest)
@@ -164,7 +166,7 @@ def test_several_steps_a_dispatch_are_the_same_steps(data):
     model = Model(jnp.zeros(2), jnp.ones(3))
     ends = []
     for chunk in (1, 5):
-        progress, rest = begin(stage(), model)
+        progress, rest = initial_progress(stage(), model)
         run = make_step(stage(), 0, 0, model, chunk)
         for _ in range(20 // chunk):
             progress, _ = run((rest, data), progress)
@@ -176,7 +178,7 @@ def test_forgetful_adam_is_sign_descent(data):
     """The released code's fault: every step has the size of the rate, whatever the gradient's."""
     model = Model(jnp.array([0.0, -500.0]), jnp.ones(3))
     faulty = stage(optimiser=forgetful(optax.adam))
-    progress, rest = begin(faulty, model)
+    progress, rest = initial_progress(faulty, model)
     run = make_step(faulty, 0, 0, model, 10)
     progress, _ = run((rest, data), progress)
     np.testing.assert_allclose(progress.parameters.moving - model.moving, 1.0, rtol=1e-4)
@@ -190,7 +192,7 @@ def test_something_not_finite_is_named_and_not_trained_on(data):
 
     model = Model(jnp.full(2, 3.0), jnp.ones(3))  # the root's slope at zero is infinite
     broken = stage(loss=Breaks(), groups=(MOVING, STILL))
-    progress, rest = begin(broken, model)
+    progress, rest = initial_progress(broken, model)
     run = make_step(broken, 0, 0, model, 5)
     progress, _ = run((rest, data), progress)
     assert not bool(progress.healthy)
@@ -206,7 +208,7 @@ def test_the_broken_loss_term_is_named(data):
             return bad, {"logarithm": bad, "fine": jnp.array(0.0)}
 
     broken = stage(loss=Breaks())
-    progress, rest = begin(broken, Model(jnp.zeros(2), jnp.ones(3)))
+    progress, rest = initial_progress(broken, Model(jnp.zeros(2), jnp.ones(3)))
     assert "loss term logarithm" in str(diagnose(broken, 0, 0, progress, rest, data))
 
 

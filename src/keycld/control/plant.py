@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from keycld.systems import AbstractMujocoSystem, Task, Workers, draw_in_worker
+from keycld.systems import AbstractMujocoSystem, Task, Workers, render_in_worker
 
 
 class Advanced(NamedTuple):
@@ -41,7 +41,7 @@ class Plant:
     def look(self) -> np.ndarray:
         """Return pictures of the present states, uint8 [n, H, W, 3]."""
         parts = self._split(len(self.state))
-        answers = self._workers.run([Task(draw_in_worker, (self.system, self.state[part])) for part in parts])
+        answers = self._workers.run([Task(render_in_worker, (self.system, self.state[part])) for part in parts])
         return np.concatenate([answer.image for answer in answers])
 
     def advance(self, inputs: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ class Plant:
 def advance_in_worker(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> Advanced:
     """Return states `[n, d]` one frame later under `inputs [n, l]`, with their pictures; for worker processes."""
     after = advance(system, states, inputs)
-    return Advanced(after, draw_in_worker(system, after).image)
+    return Advanced(after, render_in_worker(system, after).image)
 
 
 def advance(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:

@@ -22,12 +22,12 @@ from keycld.data.generate.sweeps import Sweep as Sweep
 from keycld.data.imports.suite import import_suite as import_suite
 from keycld.data.imports.video import import_video as import_video
 from keycld.data.sample.clips import Clip as Clip
-from keycld.data.sample.drawn_later import DrawnLater as DrawnLater
+from keycld.data.sample.rendered_later import RenderedLater as RenderedLater
 from keycld.data.sample.resident import Resident as Resident
 from keycld.data.sample.resident import resident as resident
 from keycld.data.sample.samplers import AbstractSampler as AbstractSampler
+from keycld.data.sample.samplers import FrameGroups as FrameGroups
 from keycld.data.sample.samplers import RandomFrames as RandomFrames
-from keycld.data.sample.samplers import StartGroups as StartGroups
 from keycld.data.sample.samplers import WholeTrajectories as WholeTrajectories
 from keycld.data.sample.samplers import Windows as Windows
 from keycld.data.sample.training_data import TrainingData as TrainingData
@@ -37,12 +37,12 @@ __all__ = [
     "AbstractSampler",
     "Clip",
     "DataSet",
-    "DrawnLater",
+    "RenderedLater",
     "Made",
     "Progress",
     "RandomFrames",
     "Resident",
-    "StartGroups",
+    "FrameGroups",
     "Sweep",
     "TrainingData",
     "Trajectories",

@@ -19,7 +19,7 @@ class AbstractIntegrator(eqx.Module):
     """One frame of motion in `substeps` equal steps, the input held; forward, or backward with negative dt.
 
     An integrator may remember what it knows at the end of a sub-step (forces, DΦ), because the next one
-    continues from there: `begin` makes that memory, `advance` takes one sub-step and renews it.
+    continues from there: `initial_memory` makes that memory, `advance` takes one sub-step and renews it.
 
     What it integrates, `field` below, is an `AbstractLaw` or another `AbstractField`; each integrator says which
     ones it can follow.
@@ -33,7 +33,7 @@ class AbstractIntegrator(eqx.Module):
             raise KeycldError(f"an integrator takes 1 or more sub-steps a frame, not {self.substeps!r}.")
 
     @abc.abstractmethod
-    def begin(self, field: Any, coordinates: Any, parameters: Parameters, h: Scalar) -> Any:
+    def initial_memory(self, field: Any, coordinates: Any, parameters: Parameters, h: Scalar) -> Any:
         """Return what `advance` needs to know of the initial state.
 
         Raises:
@@ -61,7 +61,7 @@ class AbstractIntegrator(eqx.Module):
 
     def step(self, field: Any, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
         """Return the state one frame of `dt` seconds later."""
-        memory = self.begin(field, state.coordinates, state.parameters, dt / self.substeps)
+        memory = self.initial_memory(field, state.coordinates, state.parameters, dt / self.substeps)
         coordinates, _ = self.frame(field, state.coordinates, memory, state.parameters, u, dt)
         return State(coordinates, state.parameters)
 
@@ -83,7 +83,7 @@ class AbstractIntegrator(eqx.Module):
         """
         parameters = state.parameters
         first = state.coordinates
-        memory = self.begin(field, first, parameters, dt / self.substeps)
+        memory = self.initial_memory(field, first, parameters, dt / self.substeps)
 
         def body(carry, u):
             coordinates, memory = self.frame(field, carry[0], carry[1], parameters, u, dt)
@@ -116,7 +116,7 @@ class Euler(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
 
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
+    def initial_memory(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
         """Return None: there is nothing to remember."""
 
     def advance(
@@ -138,7 +138,7 @@ class RK2(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
 
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
+    def initial_memory(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
         """Return None: there is nothing to remember."""
 
     def advance(
@@ -162,7 +162,7 @@ class RK4(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
 
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
+    def initial_memory(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> None:
         """Return None: there is nothing to remember."""
 
     def advance(
@@ -196,7 +196,7 @@ class Leapfrog(AbstractIntegrator):
 
     substeps: int = eqx.field(static=True, default=1)
 
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
+    def initial_memory(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
         """Return ∇V and g at the initial position.
 
         Raises:

@@ -44,7 +44,7 @@ class Rattle(AbstractIntegrator):
         """Refuse less than one iteration."""
         check_iterations(self.iterations)
 
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Memory:
+    def initial_memory(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Memory:
         """Return the fields, DΦ and the decay of half a sub-step.
 
         Raises:

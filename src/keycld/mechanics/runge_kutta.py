@@ -39,7 +39,7 @@ class RungeKutta(AbstractIntegrator):
                 f"rows have lengths {lengths} and the weights are {self.weights}: correct the coefficients."
             )
 
-    def begin(self, field: AbstractField, coordinates: PyTree, parameters: Parameters, h: Scalar) -> None:
+    def initial_memory(self, field: AbstractField, coordinates: PyTree, parameters: Parameters, h: Scalar) -> None:
         """Return None: there is nothing to remember."""
 
     def advance(

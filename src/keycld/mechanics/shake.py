@@ -105,7 +105,7 @@ class Shake(AbstractIntegrator):
         """Refuse less than one iteration."""
         check_iterations(self.iterations)
 
-    def begin(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
+    def initial_memory(self, law: AbstractLaw, motion: Motion, parameters: Parameters, h: Scalar) -> Any:
         """Return the fields and DΦ at the initial position.
 
         Raises:

@@ -42,7 +42,7 @@ class Composition(AbstractIntegrator):
                 f"but it has kicks {self.kicks} and drifts {self.drifts}: correct the coefficients."
             )
 
-    def begin(self, field: AbstractField, coordinates: PhasePoint, parameters: Parameters, h: Scalar) -> Any:
+    def initial_memory(self, field: AbstractField, coordinates: PhasePoint, parameters: Parameters, h: Scalar) -> Any:
         """Return ∇V and g at q, or ∇T at p: what the first kick or drift uses.
 
         Raises:

@@ -11,8 +11,8 @@ from keycld.systems.mujoco.base import AbstractMujocoSystem as AbstractMujocoSys
 from keycld.systems.mujoco.rendering import is_software as is_software
 from keycld.systems.mujoco.rendering import renderer_name as renderer_name
 from keycld.systems.pictures import Pictures as Pictures
-from keycld.systems.pictures import draw as draw
-from keycld.systems.pictures import draw_in_worker as draw_in_worker
+from keycld.systems.pictures import render as render
+from keycld.systems.pictures import render_in_worker as render_in_worker
 from keycld.systems.pictures import to_bytes as to_bytes
 from keycld.systems.processes import Task as Task
 from keycld.systems.processes import Workers as Workers
@@ -20,14 +20,14 @@ from keycld.systems.processes import run_in_processes as run_in_processes
 from keycld.systems.registry import get as get
 from keycld.systems.registry import names as names
 from keycld.systems.registry import register as register
-from keycld.systems.sampled import AbstractDrawnSystem as AbstractDrawnSystem
+from keycld.systems.sampled import AbstractRenderedSystem as AbstractRenderedSystem
 from keycld.systems.sampled import AbstractSampledSystem as AbstractSampledSystem
 from keycld.systems.sampled import Recording as Recording
 from keycld.systems.sampled import in_single_precision as in_single_precision
 from keycld.systems.sampled import numbers_only as numbers_only
 
 __all__ = [
-    "AbstractDrawnSystem",
+    "AbstractRenderedSystem",
     "AbstractInitialValueSystem",
     "AbstractMechanism",
     "AbstractMujocoSystem",
@@ -40,8 +40,8 @@ __all__ = [
     "SweepPath",
     "Task",
     "Workers",
-    "draw",
-    "draw_in_worker",
+    "render",
+    "render_in_worker",
     "get",
     "in_single_precision",
     "is_software",

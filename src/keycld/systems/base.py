@@ -90,12 +90,12 @@ class SweepPath(NamedTuple):
     vary: tuple[str, ...]
 
 
-class Drawer(Protocol):
+class StateRenderer(Protocol):
     """Renders a system's states; `description` names the renderer, for example the OpenGL device."""
 
     description: str
 
-    def draw(self, state: np.ndarray) -> np.ndarray:
+    def render(self, state: np.ndarray) -> np.ndarray:
         """Return the picture, uint8 `[size, size, 3]`, of one state `[d]`."""
         ...
 
@@ -172,7 +172,7 @@ class AbstractMechanism(AbstractSystem):
         """Return the paths and the grid of the energy figures (Figs. 8 to 12 of the paper)."""
 
     @abc.abstractmethod
-    def drawer(self) -> AbstractContextManager[Drawer]:
+    def open_renderer(self) -> AbstractContextManager[StateRenderer]:
         """Return a context in which this process renders the system; keep to one system a process."""
 
     def check(self, conditions: Conditions) -> None:

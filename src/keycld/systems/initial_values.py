@@ -10,12 +10,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.systems.sampled import AbstractDrawnSystem, Recording, in_lanes
+from keycld.systems.sampled import AbstractRenderedSystem, Recording, in_lanes
 
 _MOST_SAMPLES = 1000
 
 
-class AbstractInitialValueSystem(AbstractDrawnSystem):
+class AbstractInitialValueSystem(AbstractRenderedSystem):
     """A system without input; trajectory n samples initial state and parameters from `numpy.random.RandomState(n)`."""
 
     @abc.abstractmethod

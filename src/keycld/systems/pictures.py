@@ -8,17 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, UInt8
 
-from keycld.systems.base import Drawer
+from keycld.systems.base import StateRenderer
 from keycld.systems.processes import Task, run_in_processes
 
-_OPEN: dict[type, Drawer] = {}
+_OPEN: dict[type, StateRenderer] = {}
 
 
 @runtime_checkable
-class Drawable(Protocol):
+class Renderable(Protocol):
     """A system that brings its own renderer."""
 
-    def drawer(self) -> AbstractContextManager[Drawer]:
+    def open_renderer(self) -> AbstractContextManager[StateRenderer]:
         """Return a context in which this process renders the system's states."""
         ...
 
@@ -30,7 +30,7 @@ class Pictures(NamedTuple):
     renderer: str
 
 
-def draw_in_worker(system: Drawable, states: np.ndarray) -> Pictures:
+def render_in_worker(system: Renderable, states: np.ndarray) -> Pictures:
     """Render `states [n, d]`; for worker processes, which keep the renderer and serve one system only.
 
     Making a renderer takes a third of a second, and those of several models in one process gave corrupted
@@ -39,20 +39,20 @@ def draw_in_worker(system: Drawable, states: np.ndarray) -> Pictures:
     if type(system) not in _OPEN:
         if _OPEN:
             raise RuntimeError(f"this process renders {next(iter(_OPEN))} and cannot render {type(system)} as well")
-        drawer = system.drawer()
-        _OPEN[type(system)] = drawer.__enter__()
-        atexit.register(drawer.__exit__, None, None, None)
-    drawer = _OPEN[type(system)]
-    return Pictures(np.stack([drawer.draw(state) for state in states]), drawer.description)
+        renderer = system.open_renderer()
+        _OPEN[type(system)] = renderer.__enter__()
+        atexit.register(renderer.__exit__, None, None, None)
+    renderer = _OPEN[type(system)]
+    return Pictures(np.stack([renderer.render(state) for state in states]), renderer.description)
 
 
-def draw(system: Drawable, states: np.ndarray) -> Pictures:
+def render(system: Renderable, states: np.ndarray) -> Pictures:
     """Render `states [n, d]` in a process of its own.
 
     Raises:
         KeycldError: no OpenGL context can be made.
     """
-    [(_, pictures)] = run_in_processes([Task(draw_in_worker, (system, states))])
+    [(_, pictures)] = run_in_processes([Task(render_in_worker, (system, states))])
     return pictures
 
 

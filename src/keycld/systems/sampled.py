@@ -70,10 +70,10 @@ class AbstractSampledSystem(AbstractSystem):
         """Render a recording: `image` uint8 `[N, T, size, size, 3]`."""
 
 
-class AbstractDrawnSystem(AbstractSampledSystem):
+class AbstractRenderedSystem(AbstractSampledSystem):
     """A system whose picture is a pure JAX function of state and parameters, and whose state has a derivative.
 
-    `seen`, `draw` and `derivative` act on one state; parameters are those of one trajectory, without `N`.
+    `seen`, `render` and `derivative` act on one state; parameters are those of one trajectory, without `N`.
 
     Attributes:
         renderer: name of what renders its pictures.
@@ -88,7 +88,7 @@ class AbstractDrawnSystem(AbstractSampledSystem):
         """Return what a picture shows of the state, for example the centres of discs; m ≤ d."""
 
     @abc.abstractmethod
-    def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render what is seen, values in [0, 1]."""
 
     @abc.abstractmethod
@@ -101,7 +101,7 @@ class AbstractDrawnSystem(AbstractSampledSystem):
 
     def picture(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render a state."""
-        return self.draw(self.seen(state, parameters), parameters)
+        return self.render(self.seen(state, parameters), parameters)
 
     def pictures(self, recording: Recording) -> Pictures:
         """Render a recording: what is seen is computed in float64, its pictures in float32."""
@@ -109,7 +109,7 @@ class AbstractDrawnSystem(AbstractSampledSystem):
         constants = in_single_precision(recording.parameters)
         image = np.empty((*seen.shape[:2], self.size, self.size, 3), np.uint8)
         for i in range(len(seen)):
-            image[i] = _draw_frames(self.draw, seen[i], {name: value[i] for name, value in constants.items()})
+            image[i] = _render_frames(self.render, seen[i], {name: value[i] for name, value in constants.items()})
         return Pictures(image, self.renderer)
 
     def all_seen(
@@ -143,8 +143,8 @@ def in_single_precision(parameters: Mapping[str, np.ndarray]) -> dict[str, np.nd
 
 
 @partial(jax.jit, static_argnums=0)
-def _draw_frames(draw, seen, parameters):
-    return jax.vmap(lambda one: to_bytes(draw(one, parameters)))(seen)
+def _render_frames(render, seen, parameters):
+    return jax.vmap(lambda one: to_bytes(render(one, parameters)))(seen)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -18,7 +18,7 @@ from keycld.stages import Stage
 from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
 from keycld.training.progress import Bar
 from keycld.training.run_folder import Metrics
-from keycld.training.step import Progress, begin, diagnose, make_step
+from keycld.training.step import Progress, diagnose, initial_progress, make_step
 from keycld.training.trackers import Tracker
 
 Validate = Callable[[AbstractModel], dict[str, float]]
@@ -96,7 +96,7 @@ def train_stages(
         data = source.at(before[first])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
-        started = None if position["done"] else begin(stages[first], model)[0]
+        started = None if position["done"] else initial_progress(stages[first], model)[0]
         state = load_arrays(checkpoint / STATE, _state(data, started), renamed)
         data = _with_cached(data, state["cached"])
         if started is None:
@@ -134,7 +134,7 @@ def train_stages(
         models = []
         pinned, per_step = _clips(stage, data)
         if progress is not None:
-            current, (_, rest) = progress, begin(stage, model)
+            current, (_, rest) = progress, initial_progress(stage, model)
         else:
             data = _moved(data, source.at(before[number]))
             models = [model] if stage.candidates == 1 else [model, *map(fresh, range(1, stage.candidates))]
@@ -189,7 +189,7 @@ def _best(
     found = []
     for model in models:
         prepared, resident = (model, data) if stage.prepare is None else stage.prepare(model, data)
-        progress, rest = begin(stage, prepared)
+        progress, rest = initial_progress(stage, prepared)
         if len(models) == 1:
             return progress, rest, resident
         losses, trial = [], min(stage.trial, stage.steps)

@@ -34,7 +34,7 @@ class Progress(NamedTuple):
     healthy: Array
 
 
-def begin(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
+def initial_progress(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
     """Return the progress at the stage's first step, and the part of the model that the stage does not train."""
     parameters, rest = eqx.partition(model, stage.trainable(model))
     # A copy, because a step donates its buffers and the caller may still hold the model.

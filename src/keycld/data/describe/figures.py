@@ -9,7 +9,7 @@ from keycld.data.describe.normalised_error import trivial_scores
 from keycld.data.describe.statistics import PICTURED, first_pictures
 from keycld.data.format.derived import known
 from keycld.data.format.reading import blocks, read
-from keycld.systems import AbstractDrawnSystem, numbers_only
+from keycld.systems import AbstractRenderedSystem, numbers_only
 
 
 def sampled_figures(folder: Path) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def sampled_figures(folder: Path) -> dict[str, Any]:
     figures: dict[str, Any] = {"parameters": {name: _range(np.concatenate(v)) for name, v in gathered.items()}}
     train = read(path, images=False, rows=slice(0, PICTURED))
     system = known(train)
-    if isinstance(system, AbstractDrawnSystem) and train.state is not None:
+    if isinstance(system, AbstractRenderedSystem) and train.state is not None:
         conserved = system.all_conserved(train.state, numbers_only(train.parameters))
         change = np.abs(conserved - conserved[:, :1]).max()
         figures["conserved"] = {**_range(conserved[:, 0]), "largest_change": float(change)}

@@ -9,7 +9,7 @@ from keycld._errors import KeycldError
 from keycld.data.format.reading import open_file, read, recordings
 from keycld.data.format.rules import EVERY
 from keycld.data.format.trajectories import Trajectories
-from keycld.systems import AbstractDrawnSystem, AbstractSystem, Recording, get, names, numbers_only
+from keycld.systems import AbstractRenderedSystem, AbstractSystem, Recording, get, names, numbers_only
 
 # The most that pictures may take in memory: 7,600 recordings of 256 frames at 32 × 32.
 MOST_BYTES = 6e9
@@ -35,14 +35,14 @@ def known(trajectories: Trajectories) -> AbstractSystem | None:
     return get(name) if name in names() else None
 
 
-def renderer_of(trajectories: Trajectories) -> AbstractDrawnSystem | None:
+def renderer_of(trajectories: Trajectories) -> AbstractRenderedSystem | None:
     """Find the system that renders these states; None if no registered system does.
 
     Raises:
         KeycldError: they are for another version of the renderer.
     """
     about, system = trajectories.attributes, known(trajectories)
-    if not isinstance(system, AbstractDrawnSystem) or trajectories.state is None:
+    if not isinstance(system, AbstractRenderedSystem) or trajectories.state is None:
         return None
     if about.get("renderer") != system.renderer:
         return None
@@ -83,7 +83,7 @@ def with_derivative(trajectories: Trajectories) -> Trajectories:
     if trajectories.state_derivative is not None:
         return trajectories
     system = known(trajectories)
-    if not isinstance(system, AbstractDrawnSystem) or trajectories.state is None:
+    if not isinstance(system, AbstractRenderedSystem) or trajectories.state is None:
         raise KeycldError(f"no derivative of the state of '{trajectories.attributes['system']}' is known.")
     derivative = system.derivatives(trajectories.state, numbers_only(trajectories.parameters))
     return dataclasses.replace(trajectories, state_derivative=derivative)

@@ -21,8 +21,8 @@ from keycld.data.generate.protocols import PROTOCOLS, Split, splits
 from keycld.data.generate.sampled import Store, sampled_job
 from keycld.data.generate.sweeps import make_sweeps
 from keycld.systems import (
-    AbstractDrawnSystem,
     AbstractMechanism,
+    AbstractRenderedSystem,
     AbstractSampledSystem,
     AbstractSystem,
     Task,
@@ -146,7 +146,7 @@ def make_data(
         renderer = (read_statistics(folder) or {}).get("renderer", "")
         return Made(folder, False, 0, time.monotonic() - began, renderer)
     _begin(folder, recipe)
-    patience = {"time_out": _PATIENT} if isinstance(system, AbstractDrawnSystem) else {}
+    patience = {"time_out": _PATIENT} if isinstance(system, AbstractRenderedSystem) else {}
     rendered = _render(parts, workers, progress, began, patience)
     for name in names:
         join([part.path for part in parts if part.split == name], folder / f"{name}.h5")

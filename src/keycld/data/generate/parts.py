@@ -10,7 +10,7 @@ from keycld._errors import KeycldError
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.generate.protocols import Split
-from keycld.systems import AbstractMechanism, Run, Task, draw_in_worker
+from keycld.systems import AbstractMechanism, Run, Task, render_in_worker
 
 _LARGEST_TURN = 1.0
 _MOST_DRAWS = 1000
@@ -57,7 +57,7 @@ def make_part(
     recorded = [record(system, split, seed) for seed in seeds]
     runs = [run for run, _ in recorded]
     state = np.stack([run.state for run in runs])
-    image, renderer = draw_in_worker(system, state.reshape(-1, state.shape[-1]))
+    image, renderer = render_in_worker(system, state.reshape(-1, state.shape[-1]))
     trajectories = Trajectories(
         time=runs[0].time,
         input=np.stack([run.input[..., acting] for run in runs]).astype(np.float32),

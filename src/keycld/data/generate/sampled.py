@@ -13,7 +13,7 @@ from keycld._version import __version__
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.generate.parts import Part
-from keycld.systems import AbstractDrawnSystem, AbstractSampledSystem, Task
+from keycld.systems import AbstractRenderedSystem, AbstractSampledSystem, Task
 
 Store = Literal["states", "images"]
 # Far enough apart that no two files share a number, and multiples of the windows of a simulation.
@@ -115,10 +115,10 @@ def sampled_job(
     protocol = protocol or system.protocols[0]
     if protocol not in system.protocols:
         raise unknown(f"protocol of {system.name}", protocol, system.protocols)
-    drawn = isinstance(system, AbstractDrawnSystem)
-    if store == "states" and not drawn:
+    rendered = isinstance(system, AbstractRenderedSystem)
+    if store == "states" and not rendered:
         raise KeycldError(f"{system.name} is rendered by MuJoCo, so its pictures are stored: leave out --store states.")
-    images = store == "images" or not drawn
+    images = store == "images" or not rendered
     plan = sampled_splits(system, size, runs=runs, frames=frames)
     recipe = {
         "system": system.name,
@@ -158,7 +158,7 @@ def make_sampled_part(
     image, about = None, dict(attributes)
     if images:
         image, about["renderer"] = system.pictures(recording)
-    elif isinstance(system, AbstractDrawnSystem):
+    elif isinstance(system, AbstractRenderedSystem):
         about |= {"renderer": system.renderer, "renderer_version": system.renderer_version}
     trajectories = Trajectories(
         time=recording.time,

@@ -8,7 +8,7 @@ import numpy as np
 
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
-from keycld.systems import AbstractMechanism, draw_in_worker
+from keycld.systems import AbstractMechanism, render_in_worker
 
 
 class Sweep(NamedTuple):
@@ -33,7 +33,7 @@ def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: 
     """Render the sweeps of a system and write them to `path`; for a worker process."""
     sweeps = system.sweeps()
     lengths = np.array([len(sweep.state) for sweep in sweeps])
-    image, renderer = draw_in_worker(system, np.concatenate([sweep.state for sweep in sweeps]))
+    image, renderer = render_in_worker(system, np.concatenate([sweep.state for sweep in sweeps]))
     # Shorter paths repeat their last point, so that one array holds all of them.
     within = np.minimum(np.arange(lengths.max())[None, :], lengths[:, None] - 1)
     index = np.cumsum([0, *lengths[:-1]])[:, None] + within

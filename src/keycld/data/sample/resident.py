@@ -12,8 +12,8 @@ from jaxtyping import Array, Float, UInt8
 from keycld._errors import KeycldError
 from keycld.data.format.derived import renderer_of
 from keycld.data.format.trajectories import Trajectories
-from keycld.data.sample.drawn_later import DrawnLater
-from keycld.systems import AbstractDrawnSystem, in_single_precision
+from keycld.data.sample.rendered_later import RenderedLater
+from keycld.systems import AbstractRenderedSystem, in_single_precision
 
 # XLA uses host memory as it is, without a copy, where it begins at a multiple of this.
 _ALIGNMENT = 64
@@ -30,7 +30,7 @@ class Resident(eqx.Module):
         cached: what the `prepare` of a stage computed for every frame, for example observed keypoints.
     """
 
-    image: UInt8[Array, "N T H W 3"] | DrawnLater
+    image: UInt8[Array, "N T H W 3"] | RenderedLater
     u: Float[Array, "N *T l"]
     dt: Float[Array, ""]
     cached: Float[Array, "N T dim"] | None = None
@@ -70,7 +70,7 @@ class Host(NamedTuple):
         return sum(array.nbytes for array in jax.tree.leaves(self))
 
 
-def needed_renderer(trajectories: Trajectories) -> AbstractDrawnSystem | None:
+def needed_renderer(trajectories: Trajectories) -> AbstractRenderedSystem | None:
     """Find the system that renders the pictures of these trajectories; None if they have pictures.
 
     Raises:
@@ -98,11 +98,11 @@ def on_host(blocks: Iterable[Trajectories], count: int) -> Host:
     return whole
 
 
-def on_device(host: Host, system: AbstractDrawnSystem | None, dt: float) -> Resident:
+def on_device(host: Host, system: AbstractRenderedSystem | None, dt: float) -> Resident:
     """Pass the arrays to JAX, with the system that renders them or None; on a CPU nothing is copied."""
     image, u, constants = jax.device_put(host)
     if system is not None:
-        image = DrawnLater(image, constants, system.draw, system.size)
+        image = RenderedLater(image, constants, system.render, system.size)
     return Resident(image, u, jnp.asarray(dt, jnp.float32))
 
 

@@ -59,7 +59,7 @@ class RandomFrames(AbstractSampler):
         return gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1)
 
 
-class StartGroups(AbstractSampler):
+class FrameGroups(AbstractSampler):
     """A few groups of consecutive frames at random places of a window: each can give an initial state for all others.
 
     So a long horizon costs few pictures, and every frame is as often part of an initial state as it is a target. The
@@ -73,7 +73,7 @@ class StartGroups(AbstractSampler):
         steps: of the stage.
         cached: give the values that the stage has cached instead of pictures.
         given: frames of a group; 2 determine position and velocity.
-        begin: share of the clips whose window and first group are the first frames of a trajectory. Predictions
+        first_frames: share of the clips whose window and first group are the first frames of a trajectory. Predictions
             begin there, often at rest, and the poses there may be rare elsewhere.
     """
 
@@ -83,7 +83,7 @@ class StartGroups(AbstractSampler):
     steps: int = eqx.field(static=True)
     cached: bool = eqx.field(static=True, default=False)
     given: int = eqx.field(static=True, default=2)
-    begin: float = eqx.field(static=True, default=0.0)
+    first_frames: float = eqx.field(static=True, default=0.0)
 
     def __check_init__(self):
         """Check that every window has room for the groups."""
@@ -105,7 +105,7 @@ class StartGroups(AbstractSampler):
         phase = jnp.clip(step * len(self.windows) // self.steps, 0, len(self.windows) - 1)
         window = jnp.array(self.windows)[phase]
         trajectory = jax.random.randint(keys[0], (self.batch,), 0, count)
-        begins = jax.random.bernoulli(keys[4], self.begin, (self.batch,))
+        begins = jax.random.bernoulli(keys[4], self.first_frames, (self.batch,))
         start = jnp.where(begins, 0, jax.random.randint(keys[1], (self.batch,), 0, length - window + 1))
         # Groups fill adjacent slots. All slots are shifted by a random number, so that a group may begin at any frame.
         room = jnp.minimum(self.given, window - self.groups * self.given + 1)

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import PRNGKeyArray
 
-from keycld.data import RandomFrames, StartGroups
+from keycld.data import FrameGroups, RandomFrames
 from keycld.mechanics import (
     RK4,
     AffineMLPInputMatrix,
@@ -156,10 +156,10 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         warn=warn_unseen,
     )
 
-    def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> StartGroups:
+    def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> FrameGroups:
         within = tuple(min(horizon, scene.frames) for horizon in horizons)
         groups = min(config.groups, max(1, min(within) // config.given))
-        return StartGroups(batch, groups, within, steps, cached, config.given, config.first_frames)
+        return FrameGroups(batch, groups, within, steps, cached, config.given, config.first_frames)
 
     dynamics = Stage(
         name="dynamics",

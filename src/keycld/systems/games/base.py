@@ -61,7 +61,7 @@ class AbstractGame(AbstractInitialValueSystem, abc.ABC):
         """Return the whole state."""
         return state
 
-    def draw(self, seen: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, seen: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render the matrix xᵢ yⱼ in grey, each entry a block of ⌈32/n⌉ pixels, cut to the upper left 32 × 32."""
         x, y = jnp.split(seen, 2)
         block = np.arange(self.size) // math.ceil(self.size / len(self.payoff))

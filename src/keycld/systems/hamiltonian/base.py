@@ -85,7 +85,7 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
         centres = self.centres(jnp.split(state, 2)[0], parameters)
         return (centres + parameters["offset"][None, :]).reshape(-1)
 
-    def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render soft discs of area m and hue `color_index` / `hues`."""
         radii = jnp.sqrt(self.masses(parameters) / math.pi)
         colours = jnp.asarray(hue_colours(self.hues), seen.dtype)[parameters["color_index"]]

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 from keycld.systems.discs import NAME, VERSION, hue_colours, soft_discs
 from keycld.systems.molecular import simulation
 from keycld.systems.registry import register
-from keycld.systems.sampled import PAPER, AbstractDrawnSystem, Recording
+from keycld.systems.sampled import PAPER, AbstractRenderedSystem, Recording
 
 _LENGTHS = {"default": simulation.Lengths(1e3, 1e3, 2.5e3), "full": simulation.Lengths(1e4, 1e4, 2.5e4)}
 # Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they are nearly independent.
@@ -27,7 +27,7 @@ def _names(particles: int) -> tuple[str, ...]:
     return tuple(f"{axis}_{i}" for pair in axes for i in range(1, particles + 1) for axis in pair)
 
 
-class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
+class AbstractLennardJones(AbstractRenderedSystem, abc.ABC):
     """ẍᵢ = −∂U/∂xᵢ with U = Σ u(r), u = 4 (r⁻¹² − r⁻⁶) for r < L/2 and 0 beyond, nearest images.
 
     Reduced units (σ, ε, m and τ are 1). State: positions, then velocities. Trajectory n is window n mod W of simulation
@@ -95,7 +95,7 @@ class AbstractLennardJones(AbstractDrawnSystem, abc.ABC):
         """Return the positions of the particles."""
         return jnp.split(state, 2)[0]
 
-    def draw(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render discs of hue k/N, particle 0 on top, cut at the border: periodic images are not shown."""
         canvas = self.box / 2 * jnp.array([-1.0, 1.0], seen.dtype)
         radii = jnp.full(self.particles, self.radius, seen.dtype)

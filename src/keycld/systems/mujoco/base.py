@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from keycld.systems.base import AbstractMechanism, Conditions, Drawer, Run
+from keycld.systems.base import AbstractMechanism, Conditions, Run, StateRenderer
 from keycld.systems.mujoco.loading import import_mujoco, load_model
-from keycld.systems.mujoco.rendering import MujocoDrawer
+from keycld.systems.mujoco.rendering import MujocoRenderer
 
 # Half of MuJoCo's default vertical field of view, 45 degrees.
 _HALF_VIEW = math.radians(22.5)
@@ -152,9 +152,9 @@ class AbstractMujocoSystem(AbstractMechanism):
             potential[k], kinetic[k] = data.energy
         return kinetic, potential
 
-    def drawer(self) -> AbstractContextManager[Drawer]:
+    def open_renderer(self) -> AbstractContextManager[StateRenderer]:
         """Return MuJoCo's own renderer for the model file."""
-        return MujocoDrawer(self.model_file, self.size)
+        return MujocoRenderer(self.model_file, self.size)
 
 
 def random_walk(random: np.random.RandomState, start: np.ndarray, steps: int, limit: float) -> np.ndarray:

@@ -19,7 +19,7 @@ def is_software(description: str) -> bool:
     return any(word in description.lower() for word in _SOFTWARE)
 
 
-class MujocoDrawer:
+class MujocoRenderer:
     """Renders one model with `mujoco.Renderer`, camera 0. A context manager.
 
     On llvmpipe, renderers of several models in one process gave corrupted pictures: one system a process.
@@ -29,7 +29,7 @@ class MujocoDrawer:
         """Take the MJCF file of the model and the number of pixels of a side."""
         self.file, self.size = file, size
 
-    def __enter__(self) -> "MujocoDrawer":
+    def __enter__(self) -> "MujocoRenderer":
         mujoco = import_mujoco()
         self._model = load_model(self.file)
         self._model.vis.quality.shadowsize = _SHADOW_MAP
@@ -46,7 +46,7 @@ class MujocoDrawer:
     def __exit__(self, *_: Any) -> None:
         self._renderer.close()
 
-    def draw(self, state: np.ndarray) -> np.ndarray:
+    def render(self, state: np.ndarray) -> np.ndarray:
         """Return the picture, uint8 `[size, size, 3]`, of one state (qpos, qvel)."""
         mujoco = import_mujoco()
         self._data.qpos[:] = state[: self._model.nq]
@@ -74,5 +74,5 @@ def renderer_name() -> str:
 
 
 def _renderer_of_this_process() -> str:
-    with MujocoDrawer(Path(__file__).with_name("pendulum.xml"), 64) as drawer:
-        return drawer.description
+    with MujocoRenderer(Path(__file__).with_name("pendulum.xml"), 64) as renderer:
+        return renderer.description

@@ -8,10 +8,10 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Float
 
-from keycld.systems.base import Drawer
-from keycld.systems.pictures import Pictures, draw_in_worker
-from keycld.systems.rooms.rendering import RoomDrawer
-from keycld.systems.rooms.scene import draw_scene, scene_vector
+from keycld.systems.base import StateRenderer
+from keycld.systems.pictures import Pictures, render_in_worker
+from keycld.systems.rooms.rendering import RoomRenderer
+from keycld.systems.rooms.scene import sample_scene, scene_vector
 from keycld.systems.sampled import PAPER, AbstractSampledSystem, Recording
 
 _STEP = math.radians(0.1)
@@ -49,7 +49,7 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
         states, parameters = [], []
         for number in numbers:
             random = np.random.RandomState(number)
-            scene = draw_scene(random)
+            scene = sample_scene(random)
             radius, angle = random.uniform(0.0, self.largest_start), random.uniform(0.0, 2 * math.pi)
             turned = _STEP * np.arange(frames + 1)
             r = self.radius(radius, turned)
@@ -68,9 +68,9 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
             angle = recording.parameters["angle"][i] + _STEP * np.arange(frames)
             fixed = np.broadcast_to(scene, (frames, len(scene)))
             seen.append(np.concatenate([recording.state[i, :, :3], angle[:, None], fixed], axis=1))
-        image, renderer = draw_in_worker(self, np.concatenate(seen))
+        image, renderer = render_in_worker(self, np.concatenate(seen))
         return Pictures(image.reshape(count, frames, *image.shape[1:]), renderer)
 
-    def drawer(self) -> AbstractContextManager[Drawer]:
+    def open_renderer(self) -> AbstractContextManager[StateRenderer]:
         """Return MuJoCo's renderer, with the room refurnished for each trajectory."""
-        return RoomDrawer(self.size)
+        return RoomRenderer(self.size)

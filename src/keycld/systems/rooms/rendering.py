@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from keycld.systems.mujoco.loading import import_mujoco
-from keycld.systems.mujoco.rendering import MujocoDrawer
+from keycld.systems.mujoco.rendering import MujocoRenderer
 from keycld.systems.rooms.scene import COLOURS, OBJECT, OBJECTS, SHAPES
 
 
-class RoomDrawer(MujocoDrawer):
+class RoomRenderer(MujocoRenderer):
     """Renders rooms: a "state" is the camera's place and its angle around the vertical, then a scene as one vector."""
 
     def __init__(self, size: int):
@@ -19,12 +19,12 @@ class RoomDrawer(MujocoDrawer):
         super().__init__(Path(__file__).with_name("room.xml"), size)
         self._shown = np.empty(0)
 
-    def __enter__(self) -> "RoomDrawer":
+    def __enter__(self) -> "RoomRenderer":
         super().__enter__()
         import_mujoco().mj_forward(self._model, self._data)
         return self
 
-    def draw(self, state: np.ndarray) -> np.ndarray:
+    def render(self, state: np.ndarray) -> np.ndarray:
         """Return the picture, uint8 `[size, size, 3]`."""
         camera, angle, scene = state[:3], state[3], state[4:]
         if not np.array_equal(scene, self._shown):

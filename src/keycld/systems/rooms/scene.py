@@ -16,7 +16,7 @@ _MOST_SAMPLES = 10_000
 COLOURS, OBJECT = 6, 10
 
 
-def draw_scene(random: np.random.RandomState) -> dict[str, np.ndarray]:
+def sample_scene(random: np.random.RandomState) -> dict[str, np.ndarray]:
     """Sample a room; lengths in units of the camera's distance from the centre.
 
     Each object is a sphere, capsule, cylinder or box, all equally likely, upright, turned by any angle about the
@@ -62,6 +62,6 @@ def _places(random: np.random.RandomState, reach: np.ndarray) -> np.ndarray:
 
 
 def scene_vector(scene: dict[str, np.ndarray]) -> Float[np.ndarray, "scene"]:
-    """Return a scene as one vector, as `RoomDrawer` takes it."""
+    """Return a scene as one vector, as `RoomRenderer` takes it."""
     objects = [scene["shape"][:, None], scene["place"], scene["yaw"][:, None], scene["half_sizes"], scene["color"]]
     return np.concatenate([scene["floor"], scene["wall"], np.concatenate(objects, axis=1).reshape(-1)])

@@ -17,22 +17,22 @@ from keycld.data.format.derived import refuse_if_large
 from keycld.systems import to_bytes
 
 
-class DrawnLater(eqx.Module):
+class RenderedLater(eqx.Module):
     """Takes the place of pictures uint8 `[N, T, H, W, 3]` and renders those that are indexed.
 
     `later[rows, columns]`, `later[i]` and `later.shape` mean what they mean for an array; indices may be traced.
     It holds what a picture shows (positions of discs, radii, colours), not the state.
 
     Attributes:
-        seen: what each picture shows, from `AbstractDrawnSystem.seen`.
+        seen: what each picture shows, from `AbstractRenderedSystem.seen`.
         parameters: of each trajectory.
-        draw: the renderer of the system.
+        render: the renderer of the system.
         size: pixels of a side.
     """
 
     seen: Float[Array, "N T m"]
     parameters: dict[str, Array]
-    draw: Callable = eqx.field(static=True)
+    render: Callable = eqx.field(static=True)
     size: int = eqx.field(static=True)
 
     @property
@@ -48,7 +48,7 @@ class DrawnLater(eqx.Module):
         """Render a trajectory `[i]`, or the frames `[rows, columns]`, integers that broadcast against each other."""
         rows, columns = index if isinstance(index, tuple) else (index, jnp.arange(self.seen.shape[1]))
         rows, columns = jnp.broadcast_arrays(jnp.asarray(rows), jnp.asarray(columns))
-        return _draw(self.draw, self.seen, self.parameters, rows, columns)
+        return _render(self.render, self.seen, self.parameters, rows, columns)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """Render all pictures, for `numpy.asarray`.
@@ -62,7 +62,7 @@ class DrawnLater(eqx.Module):
 
 
 @partial(jax.jit, static_argnums=0)
-def _draw(draw, seen, parameters, rows, columns):
+def _render(render, seen, parameters, rows, columns):
     for _ in range(rows.ndim):
-        draw = jax.vmap(draw)
-    return to_bytes(draw(seen[rows, columns], {name: value[rows] for name, value in parameters.items()}))
+        render = jax.vmap(render)
+    return to_bytes(render(seen[rows, columns], {name: value[rows] for name, value in parameters.items()}))
