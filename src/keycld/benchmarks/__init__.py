@@ -23,6 +23,7 @@ from keycld.benchmarks.status import status_table as status_table
 from keycld.benchmarks.suites import MODEL_TITLES as MODEL_TITLES
 from keycld.benchmarks.suites import SUITES as SUITES
 from keycld.benchmarks.suites import Suite as Suite
+from keycld.benchmarks.suites import model_title as model_title
 from keycld.benchmarks.suites import parse_seeds as parse_seeds
 from keycld.benchmarks.suites import suite_named as suite_named
 from keycld.benchmarks.table import Table as Table
@@ -36,6 +37,7 @@ from keycld.benchmarks.table import tables as tables
 
 __all__ = [
     "MODEL_TITLES",
+    "model_title",
     "SUITES",
     "DataRecipe",
     "Experiment",

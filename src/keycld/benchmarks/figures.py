@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from keycld.benchmarks.experiment import Experiment, Place
-from keycld.benchmarks.suites import MODEL_TITLES
+from keycld.benchmarks.suites import MODEL_TITLES, model_order, model_title
 from keycld.benchmarks.table import data_labels, done_results
 from keycld.drawing import INK, Curve, Limit, panels_figure
 from keycld.evaluation import METRICS, Protocol, threshold_text
@@ -34,7 +34,7 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
     labels = [label for label in data_labels(experiments) if any(each.data.label == label for each, _ in results)]
     if not labels:
         return None
-    models = [model for model in MODEL_TITLES if any(each.model == model for each, _ in results)]
+    models = model_order(each.model for each, _ in results)
     panels, limits = [], []
     for label in labels:
         here = [(each.model, result) for each, result in results if each.data.label == label]
@@ -63,7 +63,7 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
 
 
 def _curve(model: str, stored: Sequence[dict[str, Any]]) -> Curve:
-    title, colour = MODEL_TITLES[model], _COLOURS[model]
+    title, colour = model_title(model), _COLOURS.get(model, INK.cycle[-1])
     if not stored:
         return Curve(np.array([0.0]), np.array([np.nan]), title, colour)
     mean, low, high = (np.mean([each[name] for each in stored], axis=0) for name in ("mean", "low", "high"))

@@ -9,7 +9,7 @@ from jaxtyping import Bool, UInt8
 
 from keycld._errors import KeycldError
 from keycld.benchmarks.experiment import Experiment, Place
-from keycld.benchmarks.suites import MODEL_TITLES
+from keycld.benchmarks.suites import model_order, model_title
 from keycld.benchmarks.table import done_results
 from keycld.drawing import enlarge, labelled_sheet, overlay_timeline, side_by_side
 from keycld.evaluation import Protocol, load_evaluation
@@ -46,9 +46,10 @@ def gallery(experiments: Sequence[Experiment], place: Place, label: str, protoco
     Each model is shown with the first of its seeds that has a run folder: not chosen by its score.
     """
     predictions, valid, seeds = {}, {}, {}
+    trained = {experiment.model for experiment in experiments}
     known = None
     for experiment, _ in done_results(experiments, place):
-        title = MODEL_TITLES[experiment.model]
+        title = model_title(experiment.model)
         if experiment.data.label != label or title in predictions:
             continue
         with contextlib.suppress(KeycldError):  # a run folder may be gone
@@ -61,7 +62,7 @@ def gallery(experiments: Sequence[Experiment], place: Place, label: str, protoco
         return None
     index = known["shown_index"]
     dt = float(known["time"][1] - known["time"][0])
-    order = [title for title in MODEL_TITLES.values() if title in predictions]
+    order = [model_title(name) for name in model_order(trained) if model_title(name) in predictions]
     return Gallery(
         label,
         index,

@@ -1,6 +1,6 @@
 """Suites of experiments by name."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,12 @@ _SCORED = ("test@50", "validation@50", "test_long@200", "test_long@500")
 def model_title(model: str) -> str:
     """Return the title of a model of the KeyCLD paper, or the name of any other model."""
     return MODEL_TITLES.get(model, model)
+
+
+def model_order(models: Iterable[str]) -> list[str]:
+    """Return each model once: those of the paper in the order of its Table 1, then the others by name."""
+    paper = list(MODEL_TITLES)
+    return sorted(set(models), key=lambda name: (paper.index(name) if name in paper else len(paper), name))
 
 
 @dataclass(frozen=True)

@@ -77,15 +77,15 @@ def potential(run: Run) -> str:
     for name, vary, figure in potential_figures(run.sweeps):
         save_figure(run.folder / "media" / f"potential-{name}.png", figure)
         varied = " and ".join(map(html.text, vary))
-        drawn = html.chart(figure, f"potential-{name}")
+        shown = html.chart(figure, f"potential-{name}")
         if len(vary) == 2:
             grid = grid_pictures(run.sweeps, name)
             save_image(run.folder / "media" / f"potential-{name}-pictures.png", grid)
             pictures = html.image(grid, f"Pictures of the grid of {varied}")
-            wide.append(html.figure(drawn, f"V over every combination of {varied}."))
+            wide.append(html.figure(shown, f"V over every combination of {varied}."))
             wide.append(html.figure(pictures, "The frames of this grid, every other row and column."))
         else:
-            charts.append(html.figure(drawn, f"V as {varied} changes, all else at rest."))
+            charts.append(html.figure(shown, f"V as {varied} changes, all else at rest."))
     note = (
         "The model learned the potential energy from the motion alone. V is evaluated at the keypoints that the model "
         "observes in each frame. Only its shape has a meaning: V is known up to a constant and, together with masses "

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from keycld.benchmarks import (
-    MODEL_TITLES,
     Experiment,
     Illustration,
     Illustrations,
@@ -14,6 +13,7 @@ from keycld.benchmarks import (
     done_results,
     error_figure,
     illustrate,
+    model_title,
     movie_of,
     status_of,
     suite_named,
@@ -44,15 +44,15 @@ def write_suite_report(experiments: Sequence[Experiment], place: Place, folder: 
         KeycldError: none of the experiments is done, or the folder cannot be written.
     """
     folder = Path(folder)
-    drawn = illustrate(experiments, place, folder / "media")
+    made = illustrate(experiments, place, folder / "media")
     found = tables(experiments, place)
     results = done_results(experiments, place)
     body = (
         _head(experiments, [result for _, result in results], found[0])
         + _errors(experiments, place)
-        + _sheets(drawn)
-        + _movies(drawn)
-        + _learned(drawn)
+        + _sheets(made)
+        + _movies(made)
+        + _learned(made)
         + _scores(found[1:])
         + _experiments(experiments, place)
     )
@@ -110,22 +110,22 @@ def _errors(experiments: Sequence[Experiment], place: Place) -> str:
     return html.section("errors", "Error over time", html.paragraph(note) + "".join(charts))
 
 
-def _sheets(drawn: Illustrations) -> str:
-    if not drawn.pictures:
+def _sheets(made: Illustrations) -> str:
+    if not made.pictures:
         return html.missing("sheets", "Frame by frame", "none of the run folders is there")
     pictures = []
-    for each in drawn.pictures:
+    for each in made.pictures:
         description = f"Frames of {html.text(each.gallery.label)}: truth and models"
         pictures.append(html.figure(f'<img src="{html.data_uri(each.sheet)}" alt="{description}">', _caption(each)))
     note = "Ground truth above, every model below, as in Figs. 13 to 15 of the paper. The first recording of the file."
     return html.section("sheets", "Frame by frame", html.paragraph(note) + "".join(pictures))
 
 
-def _movies(drawn: Illustrations) -> str:
-    if not drawn.pictures:
+def _movies(made: Illustrations) -> str:
+    if not made.pictures:
         return html.missing("movies", "Side by side", "none of the run folders is there")
     moving = []
-    for k, each in enumerate(drawn.pictures):
+    for k, each in enumerate(made.pictures):
         # A GIF is large, so only the first movie has one, for browsers that cannot play H.264.
         fallback = each.movie.with_suffix(".gif") if k == 0 else None
         label = f"Truth and all models on {each.gallery.label}, moving"
@@ -134,25 +134,25 @@ def _movies(drawn: Illustrations) -> str:
     return html.section("movies", "Side by side", html.paragraph(note) + "".join(moving))
 
 
-def _learned(drawn: Illustrations) -> str:
+def _learned(made: Illustrations) -> str:
     note = (
         "Learned keypoints and energies of KeyCLD, one trained model for each data set. V is known up to a constant "
         "and a factor. Compare Figs. 1, 5 and 8 to 12 of the paper."
     )
     pictures = []
-    for each in drawn.paper.made:
+    for each in made.paper.made:
         title = html.text(each.title)
         pictures.append(html.figure(f'<img src="{html.data_uri(each.path)}" alt="{title}">', f"{title}."))
-    left_out = [html.paragraph(html.text(sentence), "note") for sentence in drawn.paper.left_out]
+    left_out = [html.paragraph(html.text(sentence), "note") for sentence in made.paper.left_out]
     return html.section("learned", "What KeyCLD learned", "".join([html.paragraph(note), *pictures, *left_out]))
 
 
-def _caption(drawn: Illustration) -> str:
-    protocol, seeds = drawn.protocol, drawn.gallery.seeds
+def _caption(made: Illustration) -> str:
+    protocol, seeds = made.protocol, made.gallery.seeds
     same = len(set(seeds.values())) == 1
     each = ", ".join(f"{html.text(title)} with seed {seed}" for title, seed in seeds.items())
     shown = f"seed {next(iter(seeds.values()))}" if same else each
-    name = html.text(drawn.gallery.label)
+    name = html.text(made.gallery.label)
     return f"<b>{name}</b> · {protocol.split}.h5, {protocol.given} frames given of {protocol.horizon} · {shown}."
 
 
@@ -164,7 +164,7 @@ def _experiments(experiments: Sequence[Experiment], place: Place) -> str:
     rows, commands = [], []
     for experiment in experiments:
         status = status_of(experiment, place)
-        cells = [html.text(status.word), html.text(MODEL_TITLES[experiment.model]), "–", "–", html.text(status.detail)]
+        cells = [html.text(status.word), html.text(model_title(experiment.model)), "–", "–", html.text(status.detail)]
         if status.word == "done" and status.result is not None:
             cells[2] = f"{status.result['training']['seconds'] / 60.0:.1f}"
             cells[3] = html.text(str(status.result["commit"])[:10])
