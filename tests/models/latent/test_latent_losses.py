@@ -10,7 +10,7 @@ from keycld.data import Clip, resident
 from keycld.models import Scene, config_for
 from keycld.models.latent.losses import ELBOLoss, GECOLoss, divergence, posterior_statistics, reconstruct
 from keycld.models.latent.model import Gaussian
-from keycld.training.step import begin, make_step
+from keycld.training.step import initial_progress, make_step
 from scenes import disc_pendulum
 
 TINY = {"channels": 4, "hidden": 8, "depth": 1, "latent": 4}
@@ -179,7 +179,7 @@ def test_a_few_steps_of_training_lower_the_loss(getkey):
     scene = Scene(16, 16, 0, 12, 0.05, 4)
     (stage,) = config.stages(scene)
     model = config.build(scene, getkey())
-    progress, rest = begin(stage, model)
+    progress, rest = initial_progress(stage, model)
     _, terms = make_step(stage, 0, 0, model, 40)((rest, data), progress)
     losses = np.asarray(terms["squared_error"])
     assert losses[-5:].mean() < 0.5 * losses[:5].mean()

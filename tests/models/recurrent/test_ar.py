@@ -11,7 +11,7 @@ from keycld.data import Clip, resident
 from keycld.models import Scene, config_for
 from keycld.models.base import HasEnergies, Reversible
 from keycld.models.recurrent.losses import NextFrameLoss
-from keycld.training.step import begin, make_step
+from keycld.training.step import initial_progress, make_step
 from scenes import disc_pendulum
 
 TINY = {"channels": 4, "hidden": 8, "layers": 3, "latent": 6}
@@ -132,7 +132,7 @@ def test_a_few_steps_of_training_lower_the_loss(getkey):
     scene = Scene(16, 16, 1, 12, 0.05, 4)
     (stage,) = config.stages(scene)
     model = config.build(scene, getkey())
-    progress, rest = begin(stage, model)
+    progress, rest = initial_progress(stage, model)
     _, terms = make_step(stage, 0, 0, model, 40)((rest, data), progress)
     losses = np.asarray(terms["squared_error"])
     assert losses[-5:].mean() < 0.5 * losses[:5].mean()
