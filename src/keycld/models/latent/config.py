@@ -54,7 +54,7 @@ class LatentConfig(ModelConfig):
     batch: int = 128
     """Windows a step."""
     frames_at_once: int = 512
-    """Frames that training renders in parallel, for memory: each takes about 2 MB at 32×32 pixels."""
+    """Frames of 32×32 pixels that training renders in parallel, about 2 MB each; of larger ones, fewer."""
 
     def __post_init__(self) -> None:
         """Refuse settings that do not fit together."""
@@ -106,10 +106,11 @@ class LatentConfig(ModelConfig):
         from keycld.models.latent.losses import ELBOLoss, GECOLoss
         from keycld.stages import Group, Stage
 
+        at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
         if self.objective == "geco":
-            loss = GECOLoss(self.kappa, self.rate, self.both_ways, self.frames_at_once)
+            loss = GECOLoss(self.kappa, self.rate, self.both_ways, at_once)
         else:
-            loss = ELBOLoss(self.beta, self.kl_against == "frame", self.both_ways, self.frames_at_once)
+            loss = ELBOLoss(self.beta, self.kl_against == "frame", self.both_ways, at_once)
         return (
             Stage(
                 name="train",

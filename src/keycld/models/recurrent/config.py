@@ -41,7 +41,7 @@ class RecurrentConfig(ModelConfig):
     batch: int = 128
     """Windows a step."""
     frames_at_once: int = 512
-    """Frames that training encodes and renders in parallel, for memory: each takes about 2 MB at 32×32 pixels."""
+    """Frames of 32×32 pixels that training encodes and renders in parallel, about 2 MB each; of larger ones, fewer."""
 
     def __post_init__(self) -> None:
         """Refuse settings that do not fit together."""
@@ -71,12 +71,13 @@ class RecurrentConfig(ModelConfig):
         from keycld.models.recurrent.losses import NextFrameLoss
         from keycld.stages import Group, Stage
 
+        at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
         return (
             Stage(
                 name="train",
                 steps=self.steps,
                 sampler=Windows(self.batch, min(self.window, scene.frames)),
-                loss=NextFrameLoss(self.frames_at_once),
+                loss=NextFrameLoss(at_once),
                 groups=(Group("model", lambda m: m, self.rate),),
                 validate=True,
             ),
