@@ -92,7 +92,9 @@ def _load() -> None:
 def models() -> Mapping[str, ModelEntry]:
     """Return all registered models by name."""
     _load()
-    return {name: entry for name, entry in _MODELS.items() if entry.presets}
+    # By family: whoever imports one of them first must not change the order.
+    known = sorted(_MODELS.values(), key=lambda entry: entry.family)
+    return {entry.name: entry for entry in known if entry.presets}
 
 
 def config_for(model: str = "keycld", preset: str | None = None, **settings: Any) -> ModelConfig:
