@@ -134,7 +134,7 @@ class DiscSystem(AbstractSystem):
     input_range = 1.0
     keypoints = ("disc",)
     control_modes = ("full",)
-    starts = ("rest",)
+    initial_states = ("rest",)
 
     @property
     def constraints(self):

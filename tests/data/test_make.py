@@ -183,6 +183,13 @@ def test_a_kill_while_joining_is_resumed_too(made, tmp_path, monkeypatch):
     assert resumed.fresh and resumed.frames == 0 and check(folder) == []
 
 
+def test_data_of_before_a_setting_was_renamed_are_recognised(made, tmp_path):
+    folder = shutil.copytree(made[0].folder, tmp_path / "data")
+    path = folder / "statistics.json"
+    path.write_text(path.read_text().replace('"initial_state"', '"start"'))
+    assert not make_data("pendulum", folder, runs=RUNS, frames=FRAMES).fresh
+
+
 def test_a_lost_file_is_missed(made, tmp_path):
     folder = tmp_path / "pendulum"
     shutil.copytree(made[0].folder, folder)

@@ -15,19 +15,23 @@ def test_seeds_of_the_2022_protocol():
     train, validation, test, long = splits("keycld-2022")
     assert (train.seeds, validation.seeds, test.seeds) == ((0, 450), (450, 500), (500, 550))
     assert (long.seeds, long.frames, long.screened) == ((1000, 1050), 500, True)
-    assert (train.conditions.control, train.conditions.start, train.conditions.clip) == ("full", "rest", True)
-    assert (long.conditions.control, long.conditions.start) == ("none", "released")
+    assert (train.conditions.control, train.conditions.initial_state, train.conditions.clip) == ("full", "rest", True)
+    assert (long.conditions.control, long.conditions.initial_state) == ("none", "released")
 
 
 def test_the_2024_protocol_starts_at_random_without_limits():
     train = splits("keycld-2024")[0]
-    assert (train.conditions.start, train.conditions.input_limit, train.conditions.clip) == ("random", 2.0, False)
+    assert (train.conditions.initial_state, train.conditions.input_limit, train.conditions.clip) == (
+        "random",
+        2.0,
+        False,
+    )
 
 
 def test_changed_conditions_leave_the_long_test_alone():
-    train, _, _, long = splits("keycld-2022", control="none", start="random")
-    assert (train.conditions.control, train.conditions.start) == ("none", "random")
-    assert long.conditions.start == "released"
+    train, _, _, long = splits("keycld-2022", control="none", initial_state="random")
+    assert (train.conditions.control, train.conditions.initial_state) == ("none", "random")
+    assert long.conditions.initial_state == "released"
 
 
 def test_bad_numbers_and_names():

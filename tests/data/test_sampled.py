@@ -144,7 +144,7 @@ def test_states_reach_nothing_but_the_renderer(folder):
     """The device holds positions of discs, and neither momenta nor the state."""
     states = open_data(folder).split("train", images=False)
     data = resident(states)
-    assert data.image.seen.shape == (18, 30, 2)
+    assert data.image.visible.shape == (18, 30, 2)
     assert not any(np.shape(leaf) == states.state.shape and np.allclose(leaf, states.state) for leaf in
                    jax.tree.leaves(data))  # fmt: skip
     moved = dataclasses.replace(states, state=states.state * np.array([1.0, 5.0]))

@@ -26,8 +26,12 @@ def test_every_part_is_there(page):
     assert "is left out" not in page.read_text()
 
 
+def links(page):
+    return re.findall(r'<a href="#(\w+)">', page.read_text())
+
+
 def test_the_contents_link_to_every_section(page):
-    assert re.findall(r'<a href="#(\w+)">', page.read_text()) == sections(page)
+    assert links(page) == sections(page)
 
 
 def test_scores_baselines_and_command_are_on_the_page(page, scores):
@@ -93,7 +97,7 @@ def test_a_run_without_results_says_what_is_left_out(tmp_path):
 
 def test_results_of_a_model_without_keypoints_make_a_page(plain_run):
     page = write_report(plain_run)
-    assert sections(page) == ["movies", "sheets", "scores", "reproduce"]
+    assert sections(page) == links(page) == ["movies", "sheets", "scores", "reproduce"]
     assert "heat" not in re.sub(r"data:[^\"]+", "", page.read_text())
 
 

@@ -10,7 +10,7 @@ from keycld.data.generate.protocols import PROTOCOLS, splits
 from keycld.systems import Conditions, get, render
 
 GOLDEN = Path(__file__).parent / "golden"
-CONDITIONS = {"": Conditions(), "_2024": Conditions(start="random", input_limit=2.0, clip=False)}
+CONDITIONS = {"": Conditions(), "_2024": Conditions(initial_state="random", input_limit=2.0, clip=False)}
 NAMES = ("pendulum", "cartpole", "acrobot")
 
 

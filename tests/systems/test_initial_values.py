@@ -28,7 +28,7 @@ def test_without_friction_something_is_conserved(name):
 def test_friction_takes_its_share_of_energy(name):
     """dH/dt = −λ |∂H/∂p|², by Simpson's rule over three seconds."""
     system = get(name)
-    sampled = [system.start(np.random.RandomState(seed), "priors-released") for seed in range(4)]
+    sampled = [system.initial_state(np.random.RandomState(seed), "priors-released") for seed in range(4)]
     parameters = {key: np.stack([given[key] for _, given in sampled]) for key in sampled[0][1]}
     times = np.linspace(0.0, 3.0, 401)
     state = system.move(np.stack([start for start, _ in sampled]), parameters, times)

@@ -65,7 +65,7 @@ def test_suggested_constraints_are_constant_along_true_motion(name):
     system = get(name)
     assert system.constraints.keypoints == system.keypoints
     for start in ("rest", "random"):
-        run = system.record(np.random.RandomState(2), 50, Conditions(start=start))
+        run = system.record(np.random.RandomState(2), 50, Conditions(initial_state=start))
         x = system.landmarks(run.state).reshape(50, -1).astype(np.float32)
         values = np.asarray(jax.vmap(lambda x: system.constraints(x, {}))(x))
         assert values.shape == (50, system.constraints.count)

@@ -27,7 +27,7 @@ def test_the_cartpoles_momentum_follows_the_force():
 @pytest.mark.parametrize("name", ["cartpole", "acrobot"])
 def test_energy_is_kept_without_input(name):
     system = get(name)
-    run = system.record(np.random.RandomState(0), 500, Conditions(control="none", start="released"))
+    run = system.record(np.random.RandomState(0), 500, Conditions(control="none", initial_state="released"))
     kinetic, potential = system.energies(run.state)
     total = kinetic + potential
     assert np.ptp(total) < 1e-3 * np.ptp(potential)
@@ -85,7 +85,7 @@ def test_half_of_the_upright_runs_begin_close_to_upright(name):
 
 
 def _start(system, seed, start):
-    return system.record(np.random.RandomState(seed), 1, Conditions(control="none", start=start)).state[0]
+    return system.record(np.random.RandomState(seed), 1, Conditions(control="none", initial_state=start)).state[0]
 
 
 def _is_close(system, states):

@@ -19,7 +19,7 @@ def test_the_papers_systems_are_there():
 @pytest.mark.parametrize(("name", "control", "start"), CASES)
 def test_two_frames_under_all_conditions(name, control, start):
     system = get(name)
-    run = system.record(np.random.RandomState(100), 2, Conditions(control=control, start=start))
+    run = system.record(np.random.RandomState(100), 2, Conditions(control=control, initial_state=start))
     d, inputs = len(system.state_names), len(system.input_names)
     assert run.state.shape == run.state_derivative.shape == (2, d)
     assert run.time.shape == (2,) and run.input.shape == (inputs,)
@@ -54,7 +54,7 @@ def test_the_seed_decides(name):
 @pytest.mark.parametrize("name", MECHANISMS)
 def test_released_runs_begin_at_rest(name):
     system = get(name)
-    conditions = Conditions(control="none", start="released")
+    conditions = Conditions(control="none", initial_state="released")
     run = system.record(np.random.RandomState(0), 2, conditions)
     half = len(system.state_names) // 2
     # After one step from rest the velocities are still one acceleration times dt.
@@ -81,6 +81,6 @@ def test_conditions_that_a_system_does_not_know():
     with pytest.raises(KeycldError, match="pendulum has no control mode 'under': choose from none, full"):
         get("pendulum").check(Conditions(control="under"))
     with pytest.raises(KeycldError, match="no start 'upside-down'"):
-        get("acrobot").check(Conditions(start="upside-down"))
+        get("acrobot").check(Conditions(initial_state="upside-down"))
     with pytest.raises(KeycldError, match="input_limit"):
         get("acrobot").check(Conditions(input_limit=float("nan")))

@@ -63,7 +63,7 @@ def test_pictures(name):
 def test_canvas(name):
     """The half width of ours, with the room for random places where there is any, is the suite's."""
     system, (found, _) = get(name), golden(name)
-    _, sampled = system.start(np.random.RandomState(0), "priors-released")
+    _, sampled = system.initial_state(np.random.RandomState(0), "priors-released")
     assert sampled["canvas"] == pytest.approx(found["canvas_limits"][1], rel=1e-12)
     assert sampled["color_index"].shape == found["color_index"].shape[1:]
 

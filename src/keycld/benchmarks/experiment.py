@@ -21,13 +21,13 @@ class DataRecipe:
         system: name of the system.
         protocol: `"keycld-2022"` (arXiv v1) or `"keycld-2024"` (journal version).
         control: which inputs act: none, under or full; by default as in the protocol.
-        start: initial states; by default as in the protocol.
+        initial_state: how runs begin; by default as in the protocol.
     """
 
     system: str
     protocol: str = "keycld-2022"
     control: str | None = None
-    start: str | None = None
+    initial_state: str | None = None
 
     @property
     def label(self) -> str:
@@ -42,7 +42,7 @@ class DataRecipe:
 
     def make(self, folder: Path) -> None:
         """Make the data in `folder`; finished data stay as they are, interrupted work is resumed."""
-        make_data(self.system, folder, protocol=self.protocol, control=self.control, start=self.start)
+        make_data(self.system, folder, protocol=self.protocol, control=self.control, initial_state=self.initial_state)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ def make(
     out: Path | None = None,
     protocol: str | None = None,
     control: str | None = None,
-    start: Literal["rest", "random", "upright"] | None = None,
+    initial_state: Literal["rest", "random", "upright"] | None = None,
     clip: bool | None = None,
     input: Literal["constant", "random-walk"] | None = None,
     size: Literal["default", "full"] = "default",
@@ -38,7 +38,7 @@ def make(
             keycld-2022, priors-released.
         control: Which inputs act: none, under (the second does not), full, or the name of the only one that acts,
             such as elbow_torque; by default as in the protocol.
-        start: Initial states: rest, random, or upright (half of them near that pose, for control that must hold it);
+        initial_state: rest, random, or upright (half of them near that pose, for control that must hold it);
             by default as in the protocol.
         clip: Whether the motors limit the input to their range; by default as in the protocol.
         input: constant in each recording, or a random-walk with one value for each frame; by default constant.
@@ -58,7 +58,7 @@ def make(
         out,
         protocol=protocol,
         control=control,
-        start=start,
+        initial_state=initial_state,
         clip=clip,
         input=input,
         size=size,

@@ -31,7 +31,7 @@ class Fitted(NamedTuple):
 def fit_motions(
     dynamics: MechanicalDynamics,
     free: PyTree,
-    seen: Float[Array, "N T dim"],
+    observed: Float[Array, "N T dim"],
     u: Float[Array, "N *T l"],
     dt: Scalar,
     *,
@@ -44,7 +44,7 @@ def fit_motions(
 ) -> Fitted:
     """Fit the initial state of every motion, and parameters θ common to all, to observations of whole trajectories.
 
-        min over zᵢ, θ of Σᵢₜₖ ρ(xₖ(t; zᵢ, θ) − seenᵢₜₖ),    ρ(e) = s²(√(1 + (e/s)²) − 1)
+        min over zᵢ, θ of Σᵢₜₖ ρ(xₖ(t; zᵢ, θ) − observedᵢₜₖ),    ρ(e) = s²(√(1 + (e/s)²) − 1)
 
     by Levenberg–Marquardt. z = (x₀, v₀) is projected on the constraints. Observation errors average out over all frames
     of a motion, so fitted paths are better estimates of the positions than the observations are, and forces act over
@@ -54,7 +54,7 @@ def fit_motions(
     Args:
         dynamics: a `ConstrainedLagrangian` with its integrator, near the solution.
         free: a pytree of bools of the dynamics' shape: which leaves are θ. None at all is allowed.
-        seen: observed positions at consecutive frames, image-plane units.
+        observed: observed positions at consecutive frames, image-plane units.
         u: inputs, constant or held per frame.
         dt: seconds between frames.
         horizons: numbers of frames used while only initial states are fitted, growing, the last one at most T.
@@ -70,13 +70,13 @@ def fit_motions(
     Raises:
         KeycldError: for another kind of law.
     """
-    law, (count, length, dim) = dynamics.law, seen.shape
+    law, (count, length, dim) = dynamics.law, observed.shape
     if not isinstance(law, ConstrainedLagrangian):
         raise KeycldError(f"motions are fitted through a ConstrainedLagrangian, not a {type(law).__name__}.")
     parameters, rest = eqx.partition(dynamics, free)
     flat, unravel = ravel_pytree(parameters)
     if constants is None:
-        constants = jax.vmap(lambda x: jnp.mean(jax.vmap(law.constraint)(x), axis=0))(seen)
+        constants = jax.vmap(lambda x: jnp.mean(jax.vmap(law.constraint)(x), axis=0))(observed)
     else:
         constants = jnp.broadcast_to(constants[None, :], (count, constants.shape[0]))
     clock = length * dt / 2  # velocities times this weigh like positions
@@ -123,7 +123,7 @@ def fit_motions(
 
     def fit_initial_states(carry, frames):
         z, damping, theta = carry
-        mask = (jnp.arange(length) < frames).astype(seen.dtype)
+        mask = (jnp.arange(length) < frames).astype(observed.dtype)
 
         def one(z, damping, x, held, push):
             zz, zr = pieces(z, theta, x, held, push, mask, False)
@@ -132,14 +132,14 @@ def fit_motions(
             better = cost(path(trial, theta, held, push) - x, mask) < old
             return jnp.where(better, trial, z), jnp.where(better, 0.2 * damping, 5 * damping)
 
-        z, damping = each(one, z, damping, seen, constants, u)
+        z, damping = each(one, z, damping, observed, constants, u)
         return (z, damping, theta), None
 
     def fit_all(carry, _):
         z, theta, damping = carry
-        mask = jnp.ones(length, seen.dtype)
+        mask = jnp.ones(length, observed.dtype)
         zz, zr, zt, tt, tr = each(
-            lambda z, x, held, push: pieces(z, theta, x, held, push, mask, True), z, seen, constants, u
+            lambda z, x, held, push: pieces(z, theta, x, held, push, mask, True), z, observed, constants, u
         )
         zz = jax.vmap(lambda m: damped(m, damping))(zz)
         inverse_zt, inverse_zr = jnp.linalg.solve(zz, zt), jnp.linalg.solve(zz, zr[..., None])[..., 0]
@@ -149,17 +149,17 @@ def fit_motions(
         new_theta = theta - change
         new_z = z - inverse_zr + jnp.einsum("nzt,t->nz", inverse_zt, change, precision="highest")
         whole = lambda z, theta: jnp.sum(  # noqa: E731
-            each(lambda z, x, held, push: cost(path(z, theta, held, push) - x, mask), z, seen, constants, u)
+            each(lambda z, x, held, push: cost(path(z, theta, held, push) - x, mask), z, observed, constants, u)
         )
         better = whole(new_z, new_theta) < whole(z, theta)
         pick = lambda new, old: jnp.where(better, new, old)  # noqa: E731
         return (pick(new_z, z), pick(new_theta, theta), jnp.where(better, 0.2 * damping, 10 * damping)), None
 
-    z = each(first_guess, seen, constants, u)
+    z = each(first_guess, observed, constants, u)
     growing = jnp.repeat(jnp.array(horizons), starts)
     (z, _, _), _ = jax.lax.scan(fit_initial_states, (z, jnp.full(count, 1e-2), flat), growing)
     if flat.size:
         (z, flat, _), _ = jax.lax.scan(fit_all, (z, flat, jnp.array(1e-3)), length=iterations)
     paths = each(lambda z, held, push: path(z, flat, held, push), z, constants, u)
     fitted = eqx.combine(unravel(flat), rest)
-    return Fitted(fitted, paths, jnp.sqrt(jnp.mean((paths - seen) ** 2)))
+    return Fitted(fitted, paths, jnp.sqrt(jnp.mean((paths - observed) ** 2)))

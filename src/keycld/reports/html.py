@@ -91,6 +91,12 @@ def section(name: str, title: str, contents: str) -> str:
     return f'<section id="{name}"><h2>{text(title)}</h2>{contents}</section>'
 
 
+def contents(sections: str) -> str:
+    """Return links to the sections that are there, in their order."""
+    found = re.findall(r'<section id="(\w+)"><h2>(.*?)</h2>', sections)
+    return "<nav>" + "".join(f'<a href="#{name}">{title}</a>' for name, title in found) + "</nav>"
+
+
 def paragraph(contents: str, kind: str = "") -> str:
     """Return a paragraph, which may hold HTML."""
     return f'<p class="{kind}">{contents}</p>'

@@ -25,7 +25,7 @@ def vpt_sentence(metric: str) -> str:
     return f"Valid prediction time is the share of the scored frames before the predicted picture {_EXCEEDS[metric]}."
 
 
-def head(run: Run) -> str:
+def head(run: Run, sections: str) -> str:
     """Show the title, a summary in one sentence, the headline score next to its baselines, and the first movie."""
     config = run.config
     system = str(config.get("system", "a system"))
@@ -53,26 +53,8 @@ def head(run: Run) -> str:
     )
     return (
         f'<header>{top}<p class="lede">{lede}</p><p class="facts">{line}</p></header>'
-        f'<div class="hero">{_first_movie(run, result)}{_headline(run, result)}</div>{_contents(run)}'
+        f'<div class="hero">{_first_movie(run, result)}{_headline(run, result)}</div>{html.contents(sections)}'
     )
-
-
-def _contents(run: Run) -> str:
-    places = {
-        "movies": "movies",
-        "sheets": "frames",
-        "scores": "scores",
-        "long": "longer horizons",
-        "observation": "what the model sees",
-        "state": "keypoints",
-        "potential": "potential energy",
-        "energy": "conservation",
-        "masses": "masses",
-        **({"control": "control"} if run.controls else {}),
-        "training": "training",
-        "reproduce": "reproduce",
-    }
-    return "<nav>" + "".join(f'<a href="#{name}">{word}</a>' for name, word in places.items()) + "</nav>"
 
 
 def _first_movie(run: Run, result: Evaluation) -> str:

@@ -33,6 +33,7 @@ def write_report(run_folder: str | Path) -> Path:
     """
     run = read_run(run_folder)
     title = f"{run.config.get('system', 'run')} · KeyCLD"
-    body = prediction_sections.head(run) + "".join(section(run) for section in _SECTIONS)
+    sections = "".join(section(run) for section in _SECTIONS)
+    body = prediction_sections.head(run, sections) + sections
     footer = "Written by <b>keycld report</b> from the results in this run’s folder."
     return write_page(Path(run_folder) / "report.html", title, body, footer)

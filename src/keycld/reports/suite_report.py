@@ -47,20 +47,20 @@ def write_suite_report(experiments: Sequence[Experiment], place: Place, folder: 
     made = illustrate(experiments, place, folder / "media")
     found = tables(experiments, place)
     results = done_results(experiments, place)
-    body = (
-        _head(experiments, [result for _, result in results], found[0])
-        + _errors(experiments, place)
+    sections = (
+        _errors(experiments, place)
         + _sheets(made)
         + _movies(made)
         + _learned(made)
         + _scores(found[1:])
         + _experiments(experiments, place)
     )
+    body = _head(experiments, [result for _, result in results], found[0], sections) + sections
     footer = f"Written by <b>keycld bench report {html.text(experiments[0].suite)}</b> from recorded results."
     return write_page(folder / "report.html", f"{experiments[0].suite} · benchmark", body, footer)
 
 
-def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], table: Table) -> str:
+def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], table: Table, sections: str) -> str:
     suite = suite_named(experiments[0].suite)
     machines = dict.fromkeys(f"{r['machine']['processor']}, {r['machine']['cores']} cores" for r in results)
     hours = sum(result["training"]["seconds"] for result in results) / 3600.0
@@ -71,19 +71,10 @@ def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], 
         ("on", "; ".join(machines)),
     ]
     line = "".join(f"<span>{html.text(name)} <b>{html.text(value)}</b></span>" for name, value in facts)
-    places = {
-        "errors": "error over time",
-        "sheets": "frames",
-        "movies": "movies",
-        "learned": "what was learned",
-        "scores": "all scores",
-        "experiments": "experiments",
-    }
-    contents = "<nav>" + "".join(f'<a href="#{name}">{word}</a>' for name, word in places.items()) + "</nav>"
     return (
         f'<header><p class="eyebrow">benchmark</p><h1>{html.text(suite.name)}</h1>'
         f'<p class="lede">{html.text(suite.title)}.</p><p class="facts">{line}</p></header>'
-        f"{_table(table)}{html.paragraph(_HORIZON_NOTE, 'note')}{contents}"
+        f"{_table(table)}{html.paragraph(_HORIZON_NOTE, 'note')}{html.contents(sections)}"
     )
 
 

@@ -21,7 +21,7 @@ class Conditions:
     Attributes:
         control: which inputs act: `"full"`, all; `"under"`, all but the second; `"none"`, no input; the name of an
             input: that one alone.
-        start: the initial states: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal
+        initial_state: how runs begin: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal
             version's, all positions and velocities random; `"upright"`, the same in half of the runs, and in the
             others close to upright, positions off by a normal 0.2 rad (or m) and velocities by 1/s; `"released"`,
             released from rest at any position.
@@ -33,12 +33,12 @@ class Conditions:
             acts. The released code of 2024 does not take it, so there the initial states with `control="none"`
             differ from those with `"full"`.
 
-    Good values: the defaults are those of arXiv v1 (2022); the journal version (2024) has `start="random"`,
+    Good values: the defaults are those of arXiv v1 (2022); the journal version (2024) has `initial_state="random"`,
     `input_limit=2`, `clip=False`, `idle_number=False`.
     """
 
     control: str = "full"
-    start: str = "rest"
+    initial_state: str = "rest"
     input_limit: float = 3.0
     clip: bool = True
     input: str = "constant"
@@ -143,11 +143,11 @@ class AbstractMechanism(AbstractSystem):
 
     Attributes:
         input_range: the largest |u| of its motors where they are limited.
-        starts: those of `Conditions.start` that it knows.
+        initial_states: those of `Conditions.initial_state` that it knows.
     """
 
     input_range: ClassVar[float]
-    starts: ClassVar[tuple[str, ...]]
+    initial_states: ClassVar[tuple[str, ...]]
 
     @property
     @abc.abstractmethod
@@ -181,8 +181,11 @@ class AbstractMechanism(AbstractSystem):
             raise KeycldError(
                 f"{self.name} has no control mode '{conditions.control}': choose from {', '.join(self.control_modes)}."
             )
-        if conditions.start not in self.starts:
-            raise KeycldError(f"{self.name} has no start '{conditions.start}': choose from {', '.join(self.starts)}.")
+        if conditions.initial_state not in self.initial_states:
+            raise KeycldError(
+                f"{self.name} has no initial state '{conditions.initial_state}': "
+                f"choose from {', '.join(self.initial_states)}."
+            )
         if conditions.input not in ("constant", "random-walk"):
             raise KeycldError(f"an input is constant or a random-walk, not '{conditions.input}'.")
         if not (np.isfinite(conditions.input_limit) and conditions.input_limit >= 0):

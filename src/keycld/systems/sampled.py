@@ -73,7 +73,7 @@ class AbstractSampledSystem(AbstractSystem):
 class AbstractRenderedSystem(AbstractSampledSystem):
     """A system whose picture is a pure JAX function of state and parameters, and whose state has a derivative.
 
-    `seen`, `render` and `derivative` act on one state; parameters are those of one trajectory, without `N`.
+    `visible`, `render` and `derivative` act on one state; parameters are those of one trajectory, without `N`.
 
     Attributes:
         renderer: name of what renders its pictures.
@@ -84,12 +84,12 @@ class AbstractRenderedSystem(AbstractSampledSystem):
     renderer_version: ClassVar[int]
 
     @abc.abstractmethod
-    def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
+    def visible(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
         """Return what a picture shows of the state, for example the centres of discs; m ≤ d."""
 
     @abc.abstractmethod
-    def render(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
-        """Render what is seen, values in [0, 1]."""
+    def render(self, visible: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+        """Render what is visible, values in [0, 1]."""
 
     @abc.abstractmethod
     def derivative(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
@@ -101,22 +101,22 @@ class AbstractRenderedSystem(AbstractSampledSystem):
 
     def picture(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render a state."""
-        return self.render(self.seen(state, parameters), parameters)
+        return self.render(self.visible(state, parameters), parameters)
 
     def pictures(self, recording: Recording) -> Pictures:
-        """Render a recording: what is seen is computed in float64, its pictures in float32."""
-        seen = self.all_seen(recording.state, recording.parameters)
+        """Render a recording: what is visible is computed in float64, its pictures in float32."""
+        visible = self.all_visible(recording.state, recording.parameters)
         constants = in_single_precision(recording.parameters)
-        image = np.empty((*seen.shape[:2], self.size, self.size, 3), np.uint8)
-        for i in range(len(seen)):
-            image[i] = _render_frames(self.render, seen[i], {name: value[i] for name, value in constants.items()})
+        image = np.empty((*visible.shape[:2], self.size, self.size, 3), np.uint8)
+        for i in range(len(visible)):
+            image[i] = _render_frames(self.render, visible[i], {name: value[i] for name, value in constants.items()})
         return Pictures(image, self.renderer)
 
-    def all_seen(
+    def all_visible(
         self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
     ) -> Float[np.ndarray, "N T m"]:
-        """Return `seen` of all states, computed in float64, as float32."""
-        return map_states(self.seen, state, parameters).astype(np.float32)
+        """Return `visible` of all states, computed in float64, as float32."""
+        return map_states(self.visible, state, parameters).astype(np.float32)
 
     def derivatives(
         self, state: Float[np.ndarray, "N T d"], parameters: Mapping[str, np.ndarray]
@@ -143,8 +143,8 @@ def in_single_precision(parameters: Mapping[str, np.ndarray]) -> dict[str, np.nd
 
 
 @partial(jax.jit, static_argnums=0)
-def _render_frames(render, seen, parameters):
-    return jax.vmap(lambda one: to_bytes(render(one, parameters)))(seen)
+def _render_frames(render, visible, parameters):
+    return jax.vmap(lambda one: to_bytes(render(one, parameters)))(visible)
 
 
 @partial(jax.jit, static_argnums=0)

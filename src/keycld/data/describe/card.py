@@ -105,7 +105,9 @@ def _fields(train: Trajectories) -> str:
 
 def _origin(about: Any, figures: dict[str, Any]) -> str:
     lines = [f"- generator: {about.get('generator', 'unknown')}, protocol {about.get('protocol', 'unknown')}"]
-    conditions = [f"{key} {about[key]}" for key in ("control", "start", "input_limit", "clip", "input") if key in about]
+    conditions = [
+        f"{key} {about[key]}" for key in ("control", "initial_state", "input_limit", "clip", "input") if key in about
+    ]
     if conditions:
         lines.append(f"- conditions of train, validation and test: {', '.join(conditions)}")
     if about.get("renderer"):

@@ -80,7 +80,7 @@ def make_data(
     *,
     protocol: str | None = None,
     control: str | None = None,
-    start: str | None = None,
+    initial_state: str | None = None,
     clip: bool | None = None,
     input: str | None = None,
     size: str = "default",
@@ -102,7 +102,7 @@ def make_data(
         protocol: of a system with motors `"keycld-2022"` (arXiv v1, the default) or `"keycld-2024"` (journal version);
             of a set of "Which priors matter?" one of the system's `protocols`, by default the first.
         control: which inputs act, instead of the protocol's choice. In test_long they are zero.
-        start: how runs begin, instead of the protocol's choice; not in test_long.
+        initial_state: how runs begin, instead of the protocol's choice; not in test_long.
         clip: whether the motors limit the input, instead of the protocol's choice.
         input: "constant" in a run (every protocol's choice) or a "random-walk"; not in test_long.
         size: "full" is the published size; "default" is smaller where that takes hours (`docs/datasets.md`).
@@ -123,8 +123,8 @@ def make_data(
     system = get(system) if isinstance(system, str) else system
     folder = Path(out) if out is not None else Path("data") / system.name
     if isinstance(system, AbstractSampledSystem):
-        if not (control is start is clip is input is None):
-            raise KeycldError(f"{system.name} has no motors: leave out control, start, clip and input.")
+        if not (control is initial_state is clip is input is None):
+            raise KeycldError(f"{system.name} has no motors: leave out control, initial_state, clip and input.")
         recipe, parts = sampled_job(
             system, folder / PARTIAL, protocol=protocol, size=size, store=store, runs=runs, frames=frames
         )
@@ -133,7 +133,9 @@ def make_data(
         if size != "default" or store == "states":
             raise KeycldError(f"{system.name} has one size and pictures that MuJoCo renders: leave out size and store.")
         protocol = protocol or PROTOCOLS[0]
-        plan = splits(protocol, control=control, start=start, clip=clip, input=input, runs=runs, frames=frames)
+        plan = splits(
+            protocol, control=control, initial_state=initial_state, clip=clip, input=input, runs=runs, frames=frames
+        )
         for split in plan:
             system.check(split.conditions)
         described = [asdict(split) | {"conditions": split.conditions.described()} for split in plan]
@@ -173,14 +175,23 @@ def _finished(folder: Path, recipe: dict[str, Any], names: Sequence[str]) -> boo
 
 
 def _same(wanted: dict[str, Any], found: Any, folder: Path) -> None:
-    if wanted == found:
+    other = _renamed(found) if isinstance(found, dict) else {}
+    if wanted == other:
         return
-    other = found if isinstance(found, dict) else {}
     changed = [key for key in wanted if key != "splits" and wanted[key] != other.get(key)]
     changed += _changed_settings(wanted["splits"], other.get("splits", []))
     raise KeycldError(
         f"{folder} holds data made with another {' and '.join(changed)}: choose another folder, or delete it."
     )
+
+
+def _renamed(recipe: dict[str, Any]) -> dict[str, Any]:
+    """Return a recorded recipe with today's names: `initial_state` was once `start`."""
+    recipe = _plain(recipe)
+    for split in recipe.get("splits", []):
+        if "start" in split.get("conditions", {}):
+            split["conditions"]["initial_state"] = split["conditions"].pop("start")
+    return recipe
 
 
 def _changed_settings(wanted: Sequence[dict[str, Any]], found: Sequence[dict[str, Any]]) -> list[str]:

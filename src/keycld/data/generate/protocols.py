@@ -35,7 +35,7 @@ class Split:
 
 _CONDITIONS: Mapping[str, Conditions] = {
     "keycld-2022": Conditions(),
-    "keycld-2024": Conditions(start="random", input_limit=2.0, clip=False, idle_number=False),
+    "keycld-2024": Conditions(initial_state="random", input_limit=2.0, clip=False, idle_number=False),
 }
 PROTOCOLS = tuple(_CONDITIONS)
 # Seeds 0 ... 499 are the papers' (the last 50 for validation); no choice is ever made on the two test splits.
@@ -48,7 +48,7 @@ def splits(
     protocol: str,
     *,
     control: str | None = None,
-    start: str | None = None,
+    initial_state: str | None = None,
     clip: bool | None = None,
     input: str | None = None,
     runs: Mapping[str, int] | None = None,
@@ -59,7 +59,7 @@ def splits(
     Args:
         protocol: one of `PROTOCOLS`.
         control: which inputs act, instead of the protocol's choice.
-        start: the initial states, instead of the protocol's choice.
+        initial_state: how runs begin, instead of the protocol's choice.
         clip: whether the motors limit the input, instead of the protocol's choice.
         input: `"constant"` or `"random-walk"`, instead of the protocol's choice.
         runs: numbers of runs by split, for smaller sets (a run depends on its seed and its length only).
@@ -72,11 +72,11 @@ def splits(
     """
     if protocol not in _CONDITIONS:
         raise unknown("protocol", protocol, PROTOCOLS)
-    changes: dict[str, Any] = {"control": control, "start": start, "clip": clip, "input": input}
+    changes: dict[str, Any] = {"control": control, "initial_state": initial_state, "clip": clip, "input": input}
     conditions = dataclasses.replace(
         _CONDITIONS[protocol], **{name: value for name, value in changes.items() if value is not None}
     )
-    released = Conditions(control="none", start="released", clip=conditions.clip)
+    released = Conditions(control="none", initial_state="released", clip=conditions.clip)
     counts, lengths = dict(_RUNS), dict(_FRAMES)
     for given, numbers, least, what in ((runs, counts, 1, "runs"), (frames, lengths, 3, "frames")):
         for name, number in (given or {}).items():

@@ -24,13 +24,13 @@ class RenderedLater(eqx.Module):
     It holds what a picture shows (positions of discs, radii, colours), not the state.
 
     Attributes:
-        seen: what each picture shows, from `AbstractRenderedSystem.seen`.
+        visible: what each picture shows, from `AbstractRenderedSystem.visible`.
         parameters: of each trajectory.
         render: the renderer of the system.
         size: pixels of a side.
     """
 
-    seen: Float[Array, "N T m"]
+    visible: Float[Array, "N T m"]
     parameters: dict[str, Array]
     render: Callable = eqx.field(static=True)
     size: int = eqx.field(static=True)
@@ -38,17 +38,17 @@ class RenderedLater(eqx.Module):
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape of the pictures, (N, T, H, W, 3)."""
-        return (*self.seen.shape[:2], self.size, self.size, 3)
+        return (*self.visible.shape[:2], self.size, self.size, 3)
 
     def __len__(self) -> int:
         """Count the trajectories, N."""
-        return len(self.seen)
+        return len(self.visible)
 
     def __getitem__(self, index: Any) -> UInt8[Array, "*batch H W 3"]:
         """Render a trajectory `[i]`, or the frames `[rows, columns]`, integers that broadcast against each other."""
-        rows, columns = index if isinstance(index, tuple) else (index, jnp.arange(self.seen.shape[1]))
+        rows, columns = index if isinstance(index, tuple) else (index, jnp.arange(self.visible.shape[1]))
         rows, columns = jnp.broadcast_arrays(jnp.asarray(rows), jnp.asarray(columns))
-        return _render(self.render, self.seen, self.parameters, rows, columns)
+        return _render(self.render, self.visible, self.parameters, rows, columns)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         """Render all pictures, for `numpy.asarray`.
@@ -62,7 +62,7 @@ class RenderedLater(eqx.Module):
 
 
 @partial(jax.jit, static_argnums=0)
-def _render(render, seen, parameters, rows, columns):
+def _render(render, visible, parameters, rows, columns):
     for _ in range(rows.ndim):
         render = jax.vmap(render)
-    return to_bytes(render(seen[rows, columns], {name: value[rows] for name, value in parameters.items()}))
+    return to_bytes(render(visible[rows, columns], {name: value[rows] for name, value in parameters.items()}))

@@ -111,7 +111,7 @@ def _converted(block: Trajectories) -> Host:
         return Host(block.image, block.input, {})
     system = needed_renderer(block)
     assert system is not None and block.state is not None
-    return Host(system.all_seen(block.state, block.parameters), block.input, in_single_precision(block.parameters))
+    return Host(system.all_visible(block.state, block.parameters), block.input, in_single_precision(block.parameters))
 
 
 def _aligned(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:

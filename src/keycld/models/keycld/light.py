@@ -26,9 +26,9 @@ from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
 from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
-    in_turn,
     measure_statistics,
     measure_velocity_prior,
+    sequence,
     share_constants,
     warn_unseen,
 )
@@ -169,7 +169,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         groups=(Group("dynamics", lambda m: m.dynamics, second.rate), *_frozen(config, scene)),
         schedule=functools.partial(warmup_cosine, final=0.1),
         clip=1.0,
-        prepare=in_turn(cache_keypoints, share_constants),
+        prepare=sequence(cache_keypoints, share_constants),
     )
 
     def together(name: str, stage: "JointStage") -> Stage:
@@ -192,11 +192,11 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             optimiser=muon,
             schedule=warmup_cosine,
             clip=1e3,
-            prepare=in_turn(cache_keypoints, share_constants, fit_dynamics) if name == "long" else fit_dynamics,
+            prepare=sequence(cache_keypoints, share_constants, fit_dynamics) if name == "long" else fit_dynamics,
         )
 
     joint, long = together("joint", config.joint), together("long", config.long)
-    measured = in_turn(cache_keypoints, measure_velocity_prior)
+    measured = sequence(cache_keypoints, measure_velocity_prior)
     prior = dataclasses.replace(long, name="prior", steps=0, prepare=measured, validate=True)
     return vision, dynamics, joint, long, prior
 

@@ -135,7 +135,7 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = 15
     ), data
 
 
-def in_turn(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
+def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
     """Return several preparations as one."""
 
     def prepare(model: Any, data: Resident) -> tuple[Any, Resident]:

@@ -46,24 +46,24 @@ class AbstractGame(AbstractInitialValueSystem, abc.ABC):
         return jnp.sum(jnp.log(state))
 
     def motion(
-        self, start: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
+        self, initial: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T d"]:
         """Integrate eq. (4)."""
-        return solve(lambda state: self.derivative(state, parameters), start, times, _TOLERANCE)
+        return solve(lambda state: self.derivative(state, parameters), initial, times, _TOLERANCE)
 
-    def start(
+    def initial_state(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "d"], dict[str, np.ndarray]]:
         """Sample the strategies of both players, independent, each uniform on its simplex."""
         return np.concatenate([simplex(random, len(self.payoff)) for _ in range(2)]), {}
 
-    def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
+    def visible(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "d"]:
         """Return the whole state."""
         return state
 
-    def render(self, seen: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, visible: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render the matrix xᵢ yⱼ in grey, each entry a block of ⌈32/n⌉ pixels, cut to the upper left 32 × 32."""
-        x, y = jnp.split(seen, 2)
+        x, y = jnp.split(visible, 2)
         block = np.arange(self.size) // math.ceil(self.size / len(self.payoff))
         joint = x[block][:, None] * y[block][None, :]
         return jnp.broadcast_to(joint[:, :, None], (self.size, self.size, 3))

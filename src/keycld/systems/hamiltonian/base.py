@@ -70,27 +70,27 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
         return jnp.concatenate([slope_p, -slope_q - self.friction * slope_p])
 
     def motion(
-        self, start: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
+        self, initial: Float[Array, "d"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T d"]:
         """Integrate Hamilton's equations; systems with a closed form override this."""
-        return solve(lambda state: self.derivative(state, parameters), start, times)
+        return solve(lambda state: self.derivative(state, parameters), initial, times)
 
     def conserved(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, ""]:
         """Compute the energy, H."""
         q, p = jnp.split(state, 2)
         return self.hamiltonian(q, p, parameters)
 
-    def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
+    def visible(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
         """Return the centres of the discs, one after another, in their random place."""
         centres = self.centres(jnp.split(state, 2)[0], parameters)
         return (centres + parameters["offset"][None, :]).reshape(-1)
 
-    def render(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, visible: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render soft discs of area m and hue `color_index` / `hues`."""
         radii = jnp.sqrt(self.masses(parameters) / math.pi)
-        colours = jnp.asarray(hue_colours(self.hues), seen.dtype)[parameters["color_index"]]
-        canvas = parameters["canvas"] * jnp.array([-1.0, 1.0], seen.dtype)
-        return soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
+        colours = jnp.asarray(hue_colours(self.hues), visible.dtype)[parameters["color_index"]]
+        canvas = parameters["canvas"] * jnp.array([-1.0, 1.0], visible.dtype)
+        return soft_discs(visible.reshape(-1, 2), radii, colours, canvas, self.size)
 
     @property
     def constraints(self) -> "keycld.mechanics.Constraints | None":
@@ -113,8 +113,8 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
             return super().landmarks(state)
         states = np.asarray(state, np.float64).reshape(-1, 1, state.shape[-1])
         constants = {name: np.full(len(states), low) for name, (low, _) in self.ranges.items()}
-        seen = map_states(self.seen, states, {**constants, "offset": np.zeros((len(states), 2))})
-        return seen.reshape(*state.shape[:-1], -1, 2) / self.half_width * np.array([1.0, -1.0])
+        visible = map_states(self.visible, states, {**constants, "offset": np.zeros((len(states), 2))})
+        return visible.reshape(*state.shape[:-1], -1, 2) / self.half_width * np.array([1.0, -1.0])
 
     def constants(self, random: np.random.RandomState) -> dict[str, np.ndarray]:
         """Sample each parameter, uniform in its range."""

@@ -52,7 +52,7 @@ class AbstractDoublePendulum(AbstractHamiltonianSystem, abc.ABC):
         links = lengths[:, None] * jnp.stack([jnp.sin(q), -jnp.cos(q)], axis=-1)
         return jnp.cumsum(links, axis=0)
 
-    def start(
+    def initial_state(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "4"], dict[str, np.ndarray]]:
         """Sample (q₁, p₁) and (q₂, p₂), each in a ring.

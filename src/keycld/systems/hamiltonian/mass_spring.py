@@ -34,13 +34,13 @@ class AbstractMassSpring(AbstractHamiltonianSystem, abc.ABC):
         return parameters["k"] * q[0] ** 2 / 2 + p[0] ** 2 / (2 * parameters["m"])
 
     def motion(
-        self, start: Float[Array, "2"], parameters: Mapping[str, Array], times: Float[Array, "T"]
+        self, initial: Float[Array, "2"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T 2"]:
         """Compute q = e^(−γt) (q₀ cos ωt + (q̇₀ + γ q₀)/ω sin ωt), γ = λ/2m, ω² = k/m − γ², p = m q̇."""
         k, m = parameters["k"], parameters["m"]
         rate = self.friction / (2 * m)
         omega = jnp.sqrt(k / m - rate**2)
-        cosine, sine = start[0], (start[1] / m + rate * start[0]) / omega
+        cosine, sine = initial[0], (initial[1] / m + rate * initial[0]) / omega
         c, s, decay = jnp.cos(omega * times), jnp.sin(omega * times), jnp.exp(-rate * times)
         q = decay * (cosine * c + sine * s)
         velocity = decay * omega * (sine * c - cosine * s) - rate * q
@@ -54,7 +54,7 @@ class AbstractMassSpring(AbstractHamiltonianSystem, abc.ABC):
         """Return (0, q), a point of the vertical axis."""
         return jnp.stack([jnp.zeros_like(q), q], axis=-1)
 
-    def start(
+    def initial_state(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "2"], dict[str, np.ndarray]]:
         """Sample (q, p/√(km)) in the ring of radii 0.1 to 1, so that the radius is the amplitude.

@@ -41,7 +41,7 @@ class AbstractToyPendulum(AbstractHamiltonianSystem, abc.ABC):
         """Return (l sin q, −l cos q)."""
         return parameters["l"] * jnp.stack([jnp.sin(q), -jnp.cos(q)], axis=-1)
 
-    def start(
+    def initial_state(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "2"], dict[str, np.ndarray]]:
         """Sample (q, p) in the ring of radii 1.3 to 2.3.

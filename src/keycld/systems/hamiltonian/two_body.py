@@ -31,12 +31,12 @@ class AbstractTwoBody(AbstractHamiltonianSystem, abc.ABC):
         return kinetic - parameters["g"] * m[0] * m[1] / jnp.sqrt(jnp.sum(gap**2))
 
     def motion(
-        self, start: Float[Array, "8"], parameters: Mapping[str, Array], times: Float[Array, "T"]
+        self, initial: Float[Array, "8"], parameters: Mapping[str, Array], times: Float[Array, "T"]
     ) -> Float[Array, "T 8"]:
         """Compute the even motion of the centre of mass, and Kepler's problem for the distance vector."""
         m = parameters["m"][:, None]
         total = jnp.sum(m)
-        q, v = start[:4].reshape(2, 2), start[4:].reshape(2, 2) / m
+        q, v = initial[:4].reshape(2, 2), initial[4:].reshape(2, 2) / m
         centre, drift = jnp.sum(m * q, axis=0) / total, jnp.sum(m * v, axis=0) / total
 
         def at(time):
@@ -56,7 +56,7 @@ class AbstractTwoBody(AbstractHamiltonianSystem, abc.ABC):
         """Return the positions of the bodies; the first lies on top."""
         return q.reshape(2, 2)
 
-    def start(
+    def initial_state(
         self, random: np.random.RandomState, protocol: str
     ) -> tuple[Float[np.ndarray, "8"], dict[str, np.ndarray]]:
         """Sample bodies at ±(a, b), a and b ~ U(0.5, 1.5), momenta ±(b, −a) / (2 ρ^1.5), ρ² = a² + b².

@@ -91,16 +91,16 @@ class AbstractLennardJones(AbstractRenderedSystem, abc.ABC):
         """Compute kinetic energy + Σ (u(r) − u(L/2)), which the truncated forces keep."""
         return simulation.shifted_energy(*self._paired(state), self.box)[0]
 
-    def seen(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
+    def visible(self, state: Float[Array, "d"], parameters: Mapping[str, Array]) -> Float[Array, "m"]:
         """Return the positions of the particles."""
         return jnp.split(state, 2)[0]
 
-    def render(self, seen: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
+    def render(self, visible: Float[Array, "m"], parameters: Mapping[str, Array]) -> Float[Array, "size size 3"]:
         """Render discs of hue k/N, particle 0 on top, cut at the border: periodic images are not shown."""
-        canvas = self.box / 2 * jnp.array([-1.0, 1.0], seen.dtype)
-        radii = jnp.full(self.particles, self.radius, seen.dtype)
-        colours = jnp.asarray(hue_colours(self.particles), seen.dtype)
-        return soft_discs(seen.reshape(-1, 2), radii, colours, canvas, self.size)
+        canvas = self.box / 2 * jnp.array([-1.0, 1.0], visible.dtype)
+        radii = jnp.full(self.particles, self.radius, visible.dtype)
+        colours = jnp.asarray(hue_colours(self.particles), visible.dtype)
+        return soft_discs(visible.reshape(-1, 2), radii, colours, canvas, self.size)
 
 
 @register

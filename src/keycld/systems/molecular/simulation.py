@@ -136,8 +136,8 @@ def _window(state, box, frames, between):
     """Return the state `between` steps later, and x and v of the first `frames` frames."""
 
     def frame(state, _):
-        seen = state[0] - box * jnp.round(state[0] / box), state[1]
-        return jax.lax.fori_loop(0, STEPS_A_FRAME, lambda _, state: _verlet(state, box), state), seen
+        pictured = state[0] - box * jnp.round(state[0] / box), state[1]
+        return jax.lax.fori_loop(0, STEPS_A_FRAME, lambda _, state: _verlet(state, box), state), pictured
 
     state, (x, v) = jax.lax.scan(frame, state, None, frames)
     rest = between - frames * STEPS_A_FRAME

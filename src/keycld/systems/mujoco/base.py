@@ -42,7 +42,7 @@ class AbstractMujocoSystem(AbstractMechanism):
         camera_distance: of the fixed camera from the plane of motion, metres.
     """
 
-    starts: ClassVar[tuple[str, ...]] = ("rest", "random", "upright", "released")
+    initial_states: ClassVar[tuple[str, ...]] = ("rest", "random", "upright", "released")
     input_range: ClassVar[float] = 3.0
     camera_height: ClassVar[float]
     camera_distance: ClassVar[float]
@@ -82,14 +82,14 @@ class AbstractMujocoSystem(AbstractMechanism):
         u[[idle or name not in acting for name in self.input_names]] = 0.0
         return u
 
-    def _start(self, random: np.random.RandomState, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
-        if conditions.start == "released":
+    def _initial_state(self, random: np.random.RandomState, conditions: Conditions) -> tuple[np.ndarray, np.ndarray]:
+        if conditions.initial_state == "released":
             position = self.positions(random, slider_limit=0.5)
             return position, np.zeros_like(position)
         position, velocity = self.rest(random)
-        if conditions.start == "upright" and random.uniform() < _UPRIGHT_PROBABILITY:
+        if conditions.initial_state == "upright" and random.uniform() < _UPRIGHT_PROBABILITY:
             return _UPRIGHT_SPREAD * random.randn(len(position)), random.randn(len(velocity))
-        if conditions.start in ("random", "upright"):
+        if conditions.initial_state in ("random", "upright"):
             position = self.positions(random, slider_limit=1.0)
             velocity = random.uniform(-0.1, 0.1, size=velocity.shape)
         return position, velocity
@@ -102,7 +102,7 @@ class AbstractMujocoSystem(AbstractMechanism):
         """
         self.check(conditions)
         u = self._input(random, conditions)
-        state = np.concatenate(self._start(random, conditions))
+        state = np.concatenate(self._initial_state(random, conditions))
         if conditions.input == "constant":
             return self.simulate(state, u, frames, clip=conditions.clip)
         # Frame 0 is seen after the first step, so the input from frame k to k + 1 is the one of step k + 2.

@@ -26,7 +26,7 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
     of view and dt open: those are ours. The text has z = 1 − r, which is not on the hemisphere.
 
     Attributes:
-        largest_start: of the first radius, which is sampled uniformly from 0 on.
+        largest_radius: the largest first radius, which is sampled uniformly from 0 on.
     """
 
     dt: ClassVar[float] = 0.05
@@ -34,10 +34,10 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
     counts = {"default": {"train": 2_000, "test": 400}, "full": {"train": 50_000, "test": 20_000}}
     state_names = ("x", "y", "z", "vx", "vy", "vz")
     units = ("1", "1", "1", "1/s", "1/s", "1/s")
-    largest_start: ClassVar[float]
+    largest_radius: ClassVar[float]
 
     @abc.abstractmethod
-    def radius(self, start: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def radius(self, first: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         """Return the camera's distance from the vertical axis after turning by `turned` radians."""
 
     def group(self, frames: int, size: str, images: bool) -> int:
@@ -50,7 +50,7 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
         for number in numbers:
             random = np.random.RandomState(number)
             scene = sample_scene(random)
-            radius, angle = random.uniform(0.0, self.largest_start), random.uniform(0.0, 2 * math.pi)
+            radius, angle = random.uniform(0.0, self.largest_radius), random.uniform(0.0, 2 * math.pi)
             turned = _STEP * np.arange(frames + 1)
             r = self.radius(radius, turned)
             place = np.stack([r * np.cos(angle + turned), r * np.sin(angle + turned), np.sqrt(1 - r**2)], axis=-1)
@@ -62,13 +62,13 @@ class AbstractRoom(AbstractSampledSystem, abc.ABC):
     def pictures(self, recording: Recording) -> Pictures:
         """Render with MuJoCo; in a worker process only, which then renders nothing but this set."""
         count, frames = recording.state.shape[:2]
-        seen = []
+        views = []
         for i in range(count):
             scene = scene_vector({name: value[i] for name, value in recording.parameters.items()})
             angle = recording.parameters["angle"][i] + _STEP * np.arange(frames)
             fixed = np.broadcast_to(scene, (frames, len(scene)))
-            seen.append(np.concatenate([recording.state[i, :, :3], angle[:, None], fixed], axis=1))
-        image, renderer = render_in_worker(self, np.concatenate(seen))
+            views.append(np.concatenate([recording.state[i, :, :3], angle[:, None], fixed], axis=1))
+        image, renderer = render_in_worker(self, np.concatenate(views))
         return Pictures(image.reshape(count, frames, *image.shape[1:]), renderer)
 
     def open_renderer(self) -> AbstractContextManager[StateRenderer]:

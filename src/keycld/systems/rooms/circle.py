@@ -20,8 +20,8 @@ class RoomCircle(AbstractRoom):
     """
 
     name = "room/circle"
-    largest_start = 0.9
+    largest_radius = 0.9
 
-    def radius(self, start: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def radius(self, first: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         """Return the first radius."""
-        return np.full_like(turned, start)
+        return np.full_like(turned, first)

@@ -20,8 +20,8 @@ class RoomSpiral(AbstractRoom):
     """
 
     name = "room/spiral"
-    largest_start = 0.6
+    largest_radius = 0.6
 
-    def radius(self, start: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
+    def radius(self, first: float, turned: Float[np.ndarray, "T"]) -> Float[np.ndarray, "T"]:
         """Return a radius that grows exponentially."""
-        return start * _GROWTH ** np.degrees(turned)
+        return first * _GROWTH ** np.degrees(turned)

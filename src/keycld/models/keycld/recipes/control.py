@@ -40,4 +40,4 @@ class ControlConfig(FastConfig):
         stages = super().stages(scene)
         last = functools.partial(prepare.fit_dynamics, trajectories=self.last_fit)
         steps = (prepare.cache_keypoints, prepare.share_constants, last, prepare.measure_velocity_prior)
-        return *stages, dataclasses.replace(stages[-1], name="fit", prepare=prepare.in_turn(*steps))
+        return *stages, dataclasses.replace(stages[-1], name="fit", prepare=prepare.sequence(*steps))
