@@ -1,12 +1,15 @@
 import html.parser
 import json
 import re
+import shutil
 
 import pytest
 from browser import look
 
 from keycld import KeycldError
+from keycld.evaluation import Evaluation, Protocol, evaluate, load_evaluation, save_evaluation
 from keycld.reports import write_report
+from swing import Swing
 
 
 @pytest.fixture(scope="module")
@@ -99,6 +102,21 @@ def test_results_of_a_model_without_keypoints_make_a_page(plain_run):
     page = write_report(plain_run)
     assert sections(page) == links(page) == ["movies", "sheets", "scores", "reproduce"]
     assert "heat" not in re.sub(r"data:[^\"]+", "", page.read_text())
+
+
+def test_a_backward_result_does_not_hide_the_energies(run, data, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    backward = Protocol("long@20-backward", "test_long", 20, direction="backward", shown=2)
+    save_evaluation(folder, backward.name, evaluate(Swing.right(), data, backward))
+    assert "energy" in sections(write_report(folder))
+
+
+def test_errors_far_above_the_threshold_fit_the_figure(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    result = load_evaluation(folder, "test@14")
+    save_evaluation(folder, "test@14", Evaluation(result.scores, result.arrays | {"mse": 1e3 + result.arrays["mse"]}))
+    # matplotlib warns of a label outside of the figure, and a warning is an error here.
+    assert "scores" in sections(write_report(folder))
 
 
 def test_an_incomplete_line_of_metrics_is_skipped(run):

@@ -20,10 +20,10 @@ def error_figure(result: Evaluation) -> Figure:
     The baseline "mean image" is left out, because its squared error is ε.
     """
     errors = _finite(result.errors)
-    frames = np.arange(errors.shape[1])
+    mean, frames = errors.mean(axis=0), np.arange(errors.shape[1])
     curves = [
         Curve(
-            frames, errors.mean(axis=0), "this model",
+            frames, mean, "this model",
             low=np.quantile(errors, 0.1, axis=0), high=np.quantile(errors, 0.9, axis=0),
         )
     ]  # fmt: skip
@@ -37,7 +37,7 @@ def error_figure(result: Evaluation) -> Figure:
     limit = Limit(result.scores["threshold"], threshold_text(metric, next(iter(result.scores["vpt"]))))
     figure = curves_figure(curves, "frame", METRICS[metric], limits=[limit], logarithmic=True)
     # Given frames of a baseline may be exact; a logarithmic axis should not extend to them.
-    floor = 0.3 * min(float(curve.y[curve.y > 0].min()) for curve in curves[:1])
+    floor = 0.3 * min(float(mean[mean > 0].min()), limit.value)
     figure.axes[0].set_ylim(bottom=floor)
     return figure
 

@@ -99,9 +99,11 @@ def potential(run: Run) -> str:
 
 def conservation(run: Run) -> str:
     """Show energies along roll-outs without input, and the deviation from the constraints."""
-    if run.headline is None or "drift" not in run.headline.scores:
+    # Results of backward predictions hold no roll-out without input.
+    found = [result for result in (run.headline, *run.long) if result and "free_kinetic" in result.arrays]
+    if not found:
         return html.missing("energy", "Energy along a roll-out", "the model has no energies")
-    result = (run.long or [run.headline])[-1]
+    result = found[-1]
     energies = figures.energy_figure(result)
     save_figure(run.folder / "media" / "energy.png", energies)
     drift = result.scores["drift"]

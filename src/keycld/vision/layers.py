@@ -11,6 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from keycld.vision.convolution import convolve
+
 _FLAX = jax.nn.initializers.lecun_normal()
 
 
@@ -53,10 +55,7 @@ class Conv(eqx.Module):
 
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h2 w2 outputs"]:
         """Convolve one example."""
-        strides = (self.stride, self.stride)
-        y = jax.lax.conv_general_dilated(
-            x[None], self.kernel.astype(x.dtype), strides, "SAME", dimension_numbers=("NHWC", "HWIO", "NHWC")
-        )[0]
+        y = convolve(x[None], self.kernel.astype(x.dtype), self.stride)[0]
         return y + self.bias.astype(x.dtype)[None, None, :]
 
 
