@@ -3,8 +3,10 @@
 from keycld.stages.losses import AbstractLoss as AbstractLoss
 from keycld.stages.losses import AbstractStatefulLoss as AbstractStatefulLoss
 from keycld.stages.losses import Terms as Terms
+from keycld.stages.optimisers import adam as adam
 from keycld.stages.optimisers import forgetful as forgetful
 from keycld.stages.optimisers import muon as muon
+from keycld.stages.optimisers import packed as packed
 from keycld.stages.optimisers import warmup_cosine as warmup_cosine
 from keycld.stages.stage import Group as Group
 from keycld.stages.stage import Stage as Stage
@@ -15,7 +17,9 @@ __all__ = [
     "Group",
     "Stage",
     "Terms",
+    "adam",
     "forgetful",
     "muon",
+    "packed",
     "warmup_cosine",
 ]

@@ -12,6 +12,7 @@ import optax
 from keycld._errors import KeycldError
 from keycld.data import AbstractSampler, Resident
 from keycld.stages.losses import AbstractLoss, AbstractStatefulLoss
+from keycld.stages.optimisers import adam
 
 MakeOptimiser = Callable[[optax.Schedule], optax.GradientTransformation]
 
@@ -60,7 +61,7 @@ class Stage:
     sampler: AbstractSampler
     loss: AbstractLoss | AbstractStatefulLoss
     groups: tuple[Group, ...]
-    optimiser: MakeOptimiser = optax.adam
+    optimiser: MakeOptimiser = adam
     schedule: Callable[[float, int], optax.Schedule] = lambda rate, steps: optax.constant_schedule(rate)
     clip: float | None = None
     prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None

@@ -26,6 +26,8 @@ from keycld.training.trackers import make_tracker
 
 # Largest number of trajectories in the validation score.
 _VALIDATED = 100
+# As many as between two lines of the log. With one program for a dispatch, its arguments and results pass once.
+_STEPS_PER_DISPATCH = 25
 
 
 def train(
@@ -73,7 +75,6 @@ def train(
     for stage in stages:
         stage.labels(blank)
     threshold = validation_epsilon(dataset)
-    steps_per_dispatch = 1 if jax.default_backend() == "cpu" else 25
     run = RunConfig(
         data=str(dataset.folder),
         data_hash=sha256(dataset.path("train")),
@@ -85,7 +86,7 @@ def train(
         scene=dataclasses.asdict(scene),
         input_names=dataset.input_names,
         epsilon=threshold,
-        steps_per_dispatch=steps_per_dispatch,
+        steps_per_dispatch=_STEPS_PER_DISPATCH,
         checkpoint_seconds=checkpoint_seconds,
         command=shlex.join(sys.argv),
     )
@@ -100,7 +101,7 @@ def train(
                 source,
                 folder,
                 seed=seed,
-                steps_per_dispatch=steps_per_dispatch,
+                steps_per_dispatch=_STEPS_PER_DISPATCH,
                 checkpoint_seconds=checkpoint_seconds,
                 log_every=log_every,
                 keep=keep,

@@ -15,8 +15,8 @@ def mean_in_chunks(
     """Return the mean of `function(module, element)` over the elements, not more than `at_once` of them in parallel.
 
     Beyond that number, value and gradient of each chunk are computed before the next chunk: memory holds the layers of
-    one chunk only, and nothing is computed twice. The chunks are not a loop of XLA, because on a CPU the gradients of
-    convolutions are computed seventy times slower inside of one.
+    one chunk only, and nothing is computed twice. All chunks have the same size; elements that fill the last one
+    up do not count.
 
     Args:
         function: from a module and one element to a number, differentiable once.
@@ -27,24 +27,27 @@ def mean_in_chunks(
     count = jax.tree.leaves(elements)[0].shape[0]
     weights, rest = eqx.partition(module, eqx.is_inexact_array)
 
-    def total(weights: Any, chunk: Any) -> Array:
+    def total(weights: Any, chunk: Any, counts: Array) -> Array:
         module = eqx.combine(weights, rest)
-        return jnp.sum(jax.vmap(lambda element: function(module, element))(chunk))
+        return jnp.sum(counts * jax.vmap(lambda element: function(module, element))(chunk))
 
     if count <= at_once:
-        return total(weights, elements) / count
+        return total(weights, elements, jnp.ones(count)) / count
+    chunks = -(-count // at_once)
+    size = -(-count // chunks)
+    counts = (jnp.arange(chunks * size) < count).astype(jnp.float32).reshape(chunks, size)
 
     def forward(weights: Any, elements: Any) -> tuple[Array, tuple[Any, Any]]:
-        value, by_weights, by_elements = jnp.zeros(()), jax.tree.map(jnp.zeros_like, weights), []
-        ready = jnp.zeros(())
-        for first in range(0, count, at_once):
-            chunk = jax.tree.map(lambda leaf, k=first, zero=ready: leaf[k : k + at_once] + zero, elements)
-            here, slopes = jax.value_and_grad(total, argnums=(0, 1))(weights, chunk)
-            value, by_weights = value + here, jax.tree.map(jnp.add, by_weights, slopes[0])
-            by_elements.append(slopes[1])
-            # A zero that is known when the gradient is: without it XLA would compute the chunks side by side.
-            ready = 0.0 * sum(jnp.sum(leaf.reshape(-1)[:1]) for leaf in jax.tree.leaves(slopes[0]))
-        joined = jax.tree.map(lambda *parts: jnp.concatenate(parts), *by_elements)
+        last = jnp.minimum(jnp.arange(chunks * size), count - 1)
+        filled = jax.tree.map(lambda leaf: leaf[last].reshape(chunks, size, *leaf.shape[1:]), elements)
+
+        def add(sums: tuple[Array, Any], chunk: tuple[Any, Array]) -> tuple[tuple[Array, Any], Any]:
+            value, (by_weights, by_elements) = jax.value_and_grad(total, argnums=(0, 1))(weights, *chunk)
+            return (sums[0] + value, jax.tree.map(jnp.add, sums[1], by_weights)), by_elements
+
+        zeros = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, weights))
+        (value, by_weights), by_elements = jax.lax.scan(add, zeros, (filled, counts))
+        joined = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], by_elements)
         return value / count, (by_weights, joined)
 
     def backward(slopes: tuple[Any, Any], cotangent: Array) -> tuple[Any, Any]:
