@@ -1,5 +1,6 @@
 """Learn the physics of a moving system from video, then predict and control it."""
 
+from keycld._compile_cache import use_compile_cache as use_compile_cache
 from keycld._errors import KeycldError as KeycldError
 from keycld._version import __version__ as __version__
 

@@ -4,7 +4,8 @@ import os
 
 
 def info() -> None:
-    """Print versions of packages, the devices that JAX uses, and MuJoCo's OpenGL renderer."""
+    """Print versions of packages, JAX's devices, where compiled programs are kept, and MuJoCo's renderer."""
+    from keycld._compile_cache import compile_cache
     from keycld._errors import KeycldError
     from keycld.systems import is_software, renderer_name
     from keycld.training import environment
@@ -16,6 +17,9 @@ def info() -> None:
         print(f"{package:11s} {version or 'not installed'}")
     print(f"devices     {', '.join(facts['devices'])}")
     print("precision   float32; matrix products in mechanics at 'highest', so no TF32")
+    cache = compile_cache()
+    kept = f"{cache.folder}, {cache.bytes / 1e6:.0f} MB" if cache.folder else f"none: {cache.note}"
+    print(f"programs    {kept}")
     try:
         name = renderer_name()
     except KeycldError as error:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 
 import tyro
 
+from keycld._compile_cache import SWITCH, use_compile_cache
 from keycld._errors import KeycldError, unknown
 from keycld._version import __version__
 from keycld.cli import bench, control, data, demo, evaluate, info, models, predict, report, train
@@ -53,7 +54,10 @@ GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
 DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving system from video, then predict and control it.
 
 `keycld demo` shows everything on one system. Step by step: `keycld train cartpole` (makes the data first),
-`keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints."""
+`keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints.
+
+Compiled programs are kept in the user's cache folder (`keycld info` shows it). Without them: `--no-compile-cache` with
+any verb, or the environment variable {SWITCH}=off."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -61,6 +65,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if arguments is None else arguments)
     # By default JAX reserves three quarters of a GPU's memory at its first use; a renderer needs some of it.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    if "--no-compile-cache" in words:
+        words.remove("--no-compile-cache")
+        os.environ[SWITCH] = "off"
+    use_compile_cache()
     # JAX warns at every child process; ours are ffmpeg and fresh interpreters, which start with exec.
     warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
     try:
