@@ -71,7 +71,7 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
         key = jax.random.fold_in(loss_key, progress.step)
         (loss, (terms, memory)), gradient = _gradient(stage, rest, clips, key, progress)
         # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
-        healthy = progress.healthy & jnp.isfinite(loss) & jnp.isfinite(optax.global_norm(gradient))
+        healthy = progress.healthy & jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
