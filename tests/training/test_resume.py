@@ -56,6 +56,16 @@ def cut(root, stage: int, done: bool):
     raise AssertionError(f"no checkpoint of stage {stage}")
 
 
+def test_a_profile_is_written_for_each_stage_and_changes_nothing(whole):
+    root, data, expected = whole
+    profiled = shutil.copytree(root / "whole", root / "profiled")
+    shutil.rmtree(profiled / "checkpoints")
+    (profiled / "metrics.jsonl").unlink()
+    assert_same(expected, train(data, profiled, CONFIG, log_every=2, profile=True))
+    traces = {path.relative_to(profiled / "profile").parts[0] for path in profiled.rglob("perfetto_trace.json.gz")}
+    assert traces == {"vision", "dynamics", "joint"}
+
+
 @pytest.mark.parametrize(
     ("done", "last", "logged"), [(False, "00-vision-000006", [4, 6]), (True, "01-dynamics-000006", [4, 6, 8, 10, 12])]
 )

@@ -25,6 +25,7 @@ def train(
     track: str = "none",
     log_every: int = 25,
     checkpoint_seconds: float = 60.0,
+    profile: bool = False,
 ) -> None:
     """Train a model from pictures; the same command resumes a run that was killed.
 
@@ -44,6 +45,7 @@ def train(
         track: Where metrics go in addition to metrics.jsonl: none, wandb, trackio or tensorboard.
         log_every: Steps between lines of metrics.jsonl; checkpoints are written at such steps too.
         checkpoint_seconds: Time between checkpoints, and about the most that a killed run loses.
+        profile: Write a trace of JAX's profiler for the second dispatch of each stage to RUN/profile/STAGE.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
@@ -68,7 +70,10 @@ def train(
         track=track,
         log_every=log_every,
         checkpoint_seconds=checkpoint_seconds,
+        profile=profile,
     )
+    if profile:
+        print(f"traces: {run}/profile; open a perfetto_trace.json.gz at https://ui.perfetto.dev, or all in XProf")
     print(f"trained: {run}\nnext: keycld eval {run}, keycld report {run}")
 
 

@@ -166,10 +166,10 @@ class ConstrainedLagrangian(AbstractLagrangian):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """Compute the acceleration by eq. (6), with −D v among the forces.
+        """Compute the acceleration by eq. (6) of arXiv v1, with −D v among the forces.
 
         The linear system is solved by a damped Cholesky factorisation: redundant constraints and vanishing
-        Jacobians give finite accelerations. ⟨D²Φ, v⟩v is a Jacobian-vector product of one.
+        Jacobians give finite accelerations. ⟨D²Φ, v⟩v is a second forward-mode derivative, the `jvp` of a `jvp`.
         """
         f = self.force(x, u)
         if self.dissipative:

@@ -1,5 +1,6 @@
 """The training loop: stages in order, checkpoints, metrics, resume."""
 
+import contextlib
 import dataclasses
 import functools
 import sys
@@ -21,6 +22,7 @@ from keycld.training.run_folder import Metrics
 from keycld.training.step import Progress, diagnose, initial_progress, make_step
 from keycld.training.trackers import Tracker
 
+_NOTHING = contextlib.nullcontext()
 Validate = Callable[[AbstractModel], dict[str, float]]
 # (rest, data), progress → progress, terms: several steps in one dispatch.
 Run = Callable[[tuple[Any, Resident], Progress], tuple[Progress, dict[str, Any]]]
@@ -55,6 +57,7 @@ def train_stages(
     checkpoint_seconds: float,
     log_every: int,
     keep: int,
+    profile: bool,
     tracker: Tracker,
     validate: Validate,
     renamed: Mapping[str, str],
@@ -75,6 +78,7 @@ def train_stages(
         checkpoint_seconds: time between checkpoints.
         log_every: steps between lines of `metrics.jsonl`.
         keep: number of checkpoints to keep.
+        profile: trace the second dispatch of each stage; the first one compiles.
         tracker: gets the metrics too.
         validate: returns the scores of a model on the validation set.
         renamed: as in `load_arrays`.
@@ -142,16 +146,23 @@ def train_stages(
         done = int(current.step)
         clock.frames += per_step * done * len(models)
         bar = Bar(stage.name, stage.steps)
-        saved, pending = time.monotonic(), []
+        saved, pending, dispatches = time.monotonic(), [], 0
         logged_at, logged_frames = time.monotonic(), clock.frames
         values: dict[str, float] = {}
         while done < stage.steps:
-            chunk = min(steps_per_dispatch, stage.steps - done)
+            chunk = min(steps_per_dispatch, stage.steps - done, log_every - done % log_every)
             if not pinned:
                 here = before[number] + done
                 data, end = _moved(data, source.at(here)), source.until(here)
                 chunk = chunk if end is None else min(chunk, end - here)
-            current, terms = compiled(chunk)((rest, data), current)
+            traced = profile and dispatches == 1
+            with (
+                jax.profiler.trace(folder / "profile" / stage.name, create_perfetto_trace=True) if traced else _NOTHING
+            ):
+                current, terms = compiled(chunk)((rest, data), current)
+                if traced:
+                    jax.block_until_ready(current)
+            dispatches += 1
             pending.append(terms)
             done += chunk
             clock.frames += per_step * chunk

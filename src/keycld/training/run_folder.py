@@ -32,7 +32,7 @@ class RunConfig:
         scene: sizes of the data, so that the model can be built without them.
         input_names: names of the inputs, if the data name them.
         epsilon: ε, the threshold of the validation set, eq. (16).
-        steps_per_dispatch: optimiser steps in one compiled call (1 on a CPU).
+        steps_per_dispatch: optimiser steps in one compiled call.
         checkpoint_seconds: time between checkpoints.
         command: the command line of the run.
         schema_version: version of this file's format; earlier ones are migrated on reading.

@@ -40,6 +40,7 @@ def train(
     checkpoint_seconds: float = 60.0,
     log_every: int = 25,
     keep: int = 2,
+    profile: bool = False,
 ) -> AbstractModel:
     """Train a model and write all results to the folder `out`; the same call resumes a killed run.
 
@@ -52,6 +53,7 @@ def train(
         checkpoint_seconds: time between checkpoints, and about the most that a killed run loses.
         log_every: steps between lines of `metrics.jsonl`.
         keep: number of checkpoints to keep.
+        profile: write a trace of JAX's profiler for the second dispatch of each stage to `out/profile/STAGE`.
 
     Returns:
         the trained model.
@@ -105,6 +107,7 @@ def train(
                 checkpoint_seconds=checkpoint_seconds,
                 log_every=log_every,
                 keep=keep,
+                profile=profile,
                 tracker=tracker,
                 validate=validation_score(dataset, threshold),
                 renamed=config.RENAMED,

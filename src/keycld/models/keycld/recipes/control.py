@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 @register_preset("control", *MODELS)
 @dataclasses.dataclass(frozen=True)
 class ControlConfig(FastConfig):
-    """The preset `fast` with a longer last stage and, after it, one more least-squares fit of the dynamics.
+    """The preset `fast` with a longer fourth stage and, at the end, one more least-squares fit of the dynamics.
 
     Planning needs more exact forces than prediction does. With the fit the learned elbow torque of the acrobot is .96
     of MuJoCo's instead of .92, and motions planned with one motor for two links reach their goal.
