@@ -106,7 +106,7 @@ def test_finished_data_are_left_alone(made):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"protocol": "keycld-2024"}, "another protocol and start and input_limit and clip"),
+        ({"protocol": "keycld-2024"}, "another protocol and initial_state and input_limit and clip"),
         ({"control": "none"}, "another control:"),
         ({"runs": RUNS | {"train": 27}}, "another number of runs:"),
         ({"frames": FRAMES | {"test_long": 70}}, "another number of frames:"),

@@ -8,7 +8,10 @@ from keycld.systems import AbstractMechanism, Conditions, get, names, render
 
 MECHANISMS = names(AbstractMechanism)
 CASES = [
-    (name, control, start) for name in MECHANISMS for control in get(name).control_modes for start in get(name).starts
+    (name, control, start)
+    for name in MECHANISMS
+    for control in get(name).control_modes
+    for start in get(name).initial_states
 ]
 
 
@@ -80,7 +83,7 @@ def test_an_unknown_name_is_answered_by_the_nearest():
 def test_conditions_that_a_system_does_not_know():
     with pytest.raises(KeycldError, match="pendulum has no control mode 'under': choose from none, full"):
         get("pendulum").check(Conditions(control="under"))
-    with pytest.raises(KeycldError, match="no start 'upside-down'"):
+    with pytest.raises(KeycldError, match="no initial state 'upside-down'"):
         get("acrobot").check(Conditions(initial_state="upside-down"))
     with pytest.raises(KeycldError, match="input_limit"):
         get("acrobot").check(Conditions(input_limit=float("nan")))

@@ -32,7 +32,7 @@ RADII = {"mass_spring": (0.1, 1.0), "pendulum": (1.3, 2.3), "double_pendulum": (
 @lru_cache
 def starts(name, protocol="priors-released"):
     system = get(name)
-    sampled = [system.start(np.random.RandomState(seed), protocol) for seed in range(COUNT)]
+    sampled = [system.initial_state(np.random.RandomState(seed), protocol) for seed in range(COUNT)]
     return np.stack([state for state, _ in sampled]), {
         key: np.stack([p[key] for _, p in sampled]) for key in sampled[0][1]
     }

@@ -47,7 +47,7 @@ def mean_in_chunks(
 
         zeros = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, weights))
         (value, by_weights), by_elements = jax.lax.scan(add, zeros, (filled, counts))
-        joined = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:])[:count], by_elements)
+        joined = jax.tree.map(lambda leaf: leaf.reshape(chunks * size, *leaf.shape[2:])[:count], by_elements)
         return value / count, (by_weights, joined)
 
     def backward(slopes: tuple[Any, Any], cotangent: Array) -> tuple[Any, Any]:
