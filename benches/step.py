@@ -24,7 +24,7 @@ from keycld.training.step import initial_progress, make_step
 
 ROUNDS, STEPS, DT = 5, 10, 0.02
 USUAL = {"frames": 16, "side": 64, "keypoints": 2, "horizon": 50}
-GROWTH = {"frames": (8, 16, 32, 64), "side": (32, 48, 64, 96), "keypoints": (1, 2, 3, 4), "horizon": (13, 25, 50, 100)}
+GROWTH = {"frames": (8, 16, 32), "side": (32, 64, 96), "keypoints": (1, 2, 4), "horizon": (25, 50, 100)}
 
 
 def seconds(function, *arguments, repeats=STEPS):
