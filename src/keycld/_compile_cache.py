@@ -4,6 +4,7 @@ Entries are machine code. They are kept for one user, host, kind of processor an
 another processor can stop the process.
 """
 
+import contextlib
 import hashlib
 import importlib.metadata
 import os
@@ -46,7 +47,11 @@ def use_compile_cache() -> CompileCache:
         the folder in use, or why there is none.
     """
     found = compile_cache()
-    if found.folder is None or os.environ.get(_FOLDER):
+    if found.folder is None:
+        # JAX's own switch: a folder that is set for JAX is off too.
+        os.environ["JAX_ENABLE_COMPILATION_CACHE"] = "false"
+        return found
+    if os.environ.get(_FOLDER):
         return found
     try:
         found.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -79,7 +84,16 @@ def compile_cache() -> CompileCache:
 
 
 def _measured(folder: Path) -> CompileCache:
-    return CompileCache(folder, "", sum(path.stat().st_size for path in folder.glob("*-cache")))
+    return CompileCache(folder, "", sum(status.st_size for status in _entries(folder).values()))
+
+
+def _entries(folder: Path) -> dict[Path, os.stat_result]:
+    """Return the entries of a folder; another process may remove some meanwhile."""
+    found = {}
+    for path in folder.glob("*-cache"):
+        with contextlib.suppress(OSError):
+            found[path] = path.stat()
+    return found
 
 
 def _user_folder() -> Path:
@@ -103,7 +117,7 @@ def _tidy(folder: Path) -> None:
     mark = folder / _CHECKED
     last = mark.stat().st_mtime if mark.exists() else 0.0
     mark.touch()
-    entries = {path: path.stat() for path in folder.glob("*-cache")}
+    entries = _entries(folder)
     for path, status in entries.items():
         # JAX does not write to a temporary name first. An incomplete entry would never be replaced.
         if status.st_mtime >= last - 1.0 and not _complete(path):
@@ -117,7 +131,10 @@ def _tidy(folder: Path) -> None:
 
 def _complete(path: Path) -> bool:
     """Return whether a file is a whole zlib stream, as JAX writes it; files in another format count as complete."""
-    data = path.read_bytes()
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return True
     if data[:1] != b"\x78":
         return bool(data)
     stream = zlib.decompressobj()

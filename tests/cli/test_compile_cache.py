@@ -80,6 +80,14 @@ def test_a_folder_that_others_can_write_to_is_not_used(alone):
     assert use_compile_cache().folder is None and "others can write" in use_compile_cache().note
 
 
+def test_an_entry_that_another_process_removes_meanwhile_does_no_harm(alone):
+    """A link without a target is listed but cannot be read, like a file removed after the listing."""
+    folder = compile_cache().folder
+    folder.mkdir(mode=0o700)
+    (folder / "gone-cache").symlink_to(folder / "nothing")
+    assert compile_cache().bytes == 0
+
+
 def test_off_and_jaxs_own_setting(alone, monkeypatch):
     monkeypatch.setenv("KEYCLD_COMPILE_CACHE", "off")
     assert compile_cache().folder is None

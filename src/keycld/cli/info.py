@@ -5,7 +5,7 @@ import os
 
 def info() -> None:
     """Print versions of packages, JAX's devices, where compiled programs are kept, and MuJoCo's renderer."""
-    from keycld._compile_cache import compile_cache
+    from keycld._compile_cache import use_compile_cache
     from keycld._errors import KeycldError
     from keycld.systems import is_software, renderer_name
     from keycld.training import environment
@@ -17,7 +17,7 @@ def info() -> None:
         print(f"{package:11s} {version or 'not installed'}")
     print(f"devices     {', '.join(facts['devices'])}")
     print("precision   float32; matrix products in mechanics at 'highest', so no TF32")
-    cache = compile_cache()
+    cache = use_compile_cache()
     kept = f"{cache.folder}, {cache.bytes / 1e6:.0f} MB" if cache.folder else f"none: {cache.note}"
     print(f"programs    {kept}")
     try:
