@@ -30,7 +30,7 @@ def main():
     number, model = 2, config.build(scene, jax.random.key(1))
     stage = config.stages(scene)[number]
     progress, rest = initial_progress(stage, model)
-    run = make_step(stage, number, 0, model, 1)
+    run = make_step(stage, number, 0, 1)
     progress, _ = run((rest, data), progress)  # the first step compiles
     seconds = {"default": [], "kept": []}
     for _ in range(ROUNDS):

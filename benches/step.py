@@ -50,11 +50,11 @@ def prepared(frames, side, keypoints, horizon):
     """Return the last training stage of `fast`, a model and random data of these sizes."""
     scene = Scene(side, side, 1, horizon, DT, 8)
     config = config_for(
-        "keycld", "fast", constraints=chain(keypoints), long={"horizons": (horizon,), "batch": frames // 8}
+        "keycld", "fast", constraints=chain(keypoints), joint={"horizons": (horizon,), "batch": frames // 8}
     )
     model = config.build(scene, jax.random.key(0))
     image = jax.random.bits(jax.random.key(1), (8, horizon, side, side, 3), jnp.uint8)
-    stage = next(stage for stage in config.stages(scene) if stage.name == "long")
+    stage = next(stage for stage in config.stages(scene) if stage.name == "joint")
     return stage, model, Resident(image, jnp.zeros((8, 1)), jnp.asarray(DT, jnp.float32))
 
 
@@ -62,7 +62,7 @@ def step_time(**sizes):
     """Return the time of one step, of 10 in a dispatch."""
     stage, model, data = prepared(**sizes)
     progress, rest = initial_progress(stage, model)
-    run = make_step(stage, 3, 0, model, STEPS)
+    run = make_step(stage, 3, 0, STEPS)
     progress, _ = jax.block_until_ready(run((rest, data), progress))
     found = []
     for _ in range(ROUNDS):

@@ -66,8 +66,7 @@ TINY = {
     "groups": 2,
     "vision": {"steps": 6, "candidates": 2, "trial": 2, "batch": 4},
     "dynamics": {"steps": 6, "batch": 4, "horizons": [5, 6]},
-    "joint": {"steps": 6, "horizons": [6, 8]},
-    "long": {"steps": 0},
+    "joint": {"steps": 6, "horizons": [6, 8], "fit_every": 4},
 }
 """Settings of the `fast` preset that train in seconds."""
 

@@ -271,7 +271,7 @@ def test_foreign_data_trains_with_constraints_given_on_the_command_line(here, pl
     (folder / "constraints.toml").rename(place / "mine.toml")
     code, message = here("train", "bare", "--out", "bare-run", folder=place)
     assert code == 2 and "put a constraints.toml next to the data" in message
-    vision_alone = ["--dynamics.steps", "0", "--joint.steps", "0", "--long.steps", "0"]
+    vision_alone = ["--dynamics.steps", "0", "--joint.steps", "0"]
     settings = ["--constraints", "mine.toml", "--out", "bare-run", *SETTINGS, *vision_alone]
     code, message = here("train", "bare", *settings, folder=place)
     assert code == 0, message

@@ -41,7 +41,7 @@ def test_one_step(name, preset):
     if stage.prepare is not None:
         model, data = stage.prepare(model, data)
     progress, rest = initial_progress(stage, model)
-    progress, terms = make_step(stage, 0, 0, model, 1)((rest, data), progress)
+    progress, terms = make_step(stage, 0, 0, 1)((rest, data), progress)
     assert bool(progress.healthy) and np.isfinite(float(terms["loss"][0]))
     # Not the weights: the rate of a first step may be zero.
     momenta = [leaf for leaf in jax.tree.leaves(progress.optimiser) if eqx.is_inexact_array(leaf)]

@@ -3,6 +3,7 @@
 import json
 import shutil
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -10,8 +11,8 @@ import pytest
 from keycld._errors import KeycldError
 from keycld._lock import locked
 from keycld.data import open_data
-from keycld.models import config_for
-from keycld.models.keycld.prepare import cache_keypoints, fit_dynamics, measure_velocity_prior, share_constants
+from keycld.models import Scene, config_for
+from keycld.models.keycld.prepare import fit_dynamics, measure_velocity_prior
 from keycld.models.keycld.recipes.fast import FastConfig
 from keycld.training import finished, load_run, train
 from keycld.training.checkpoints import (
@@ -23,6 +24,7 @@ from keycld.training.checkpoints import (
     save_arrays,
     save_checkpoint,
 )
+from keycld.training.run_folder import read_config
 from scenes import TINY
 
 CONFIG = config_for("keycld", "fast", **TINY)
@@ -83,6 +85,11 @@ def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, capsys
     assert ("the keypoints have not found their parts" in capsys.readouterr().err) == (not done)
 
 
+def test_resume_at_a_fit_between_steps_is_bit_exact(whole):
+    root, data, expected = whole
+    assert_same(expected, train(data, cut(root, 2, False), CONFIG, log_every=2))
+
+
 def test_a_finished_run_loads_without_its_data(whole):
     root, _, model = whole
     assert finished(root / "whole")
@@ -92,10 +99,13 @@ def test_a_finished_run_loads_without_its_data(whole):
 
 
 def test_a_configuration_of_schema_1_is_migrated(whole):
-    """Flat settings, and constraints and keypoints outside of them."""
-    root, _, model = whole
+    """Flat settings, constraints and keypoints outside of them, perceptrons in V and g, two joint stages."""
+    root, _, _ = whole
     old = shutil.copytree(root / "whole", root / "old")
     config = json.loads((old / "config.json").read_text())
+    then = CONFIG.changed({"constraints": config["settings"]["constraints"], "potential_width": 32, "input_width": 32})
+    model = then.build(Scene(**config["scene"]), jax.random.key(1))
+    save_arrays(latest_checkpoint(old) / WEIGHTS, model)
     settings = config["settings"]
     flat = {"width": 8, "begin": 0.5, "vision_steps": 6, "joint_horizons": [6, 8], "joint_rate": 2e-3, "groups": 2}
     config |= {
@@ -110,8 +120,47 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
     (old / "config.json").write_text(json.dumps(config))
     loaded, now = load_run(old)
     assert_same(model, loaded)
-    assert now.settings["vision"] == settings["vision"] and now.settings["joint"]["horizons"] == [6, 8]
-    assert now.settings["long"]["rate"] == 2e-3 and now.scene["dt"] == 0.05
+    assert now.settings["vision"] == settings["vision"] and now.settings["joint"]["rate"] == 2e-3
+    assert now.settings["joint"]["steps"] == 1500 and now.scene["dt"] == 0.05
+
+
+def test_a_configuration_of_schema_2_is_migrated(whole):
+    """Two joint stages become one, with the preset's own steps and horizons."""
+    root, _, _ = whole
+    old = shutil.copytree(root / "whole", root / "second")
+    config = json.loads((old / "config.json").read_text())
+    config["schema_version"] = 2
+    config["settings"] |= {"long": config["settings"]["joint"] | {"steps": 3600}}
+    for name in ("potential_width", "input_width"):
+        del config["settings"][name]
+    config["settings"]["joint"] |= {"scale": 0.02}
+    del config["settings"]["joint"]["fit_every"]
+    (old / "config.json").write_text(json.dumps(config))
+    settings = read_config(old).settings
+    assert settings["potential_width"] == settings["input_width"] == 32 and "long" not in settings
+    assert settings["joint"] == CONFIG.changed({"joint.steps": 1500}).settings()["joint"] | {
+        "scale": 0.02,
+        "horizons": [8, 16, 32, 50, 50],
+        "fit_every": 300,
+    }
+
+
+def test_a_model_that_grew_is_resumed_and_loaded(whole):
+    """With a perceptron in V that the settings do not name: the checkpoint does."""
+    root, data, _ = whole
+    run = cut(root, 1, True)
+    checkpoint = latest_checkpoint(run)
+    model = load_run(run)[0]
+    grown = eqx.tree_at(lambda m: m.law.potential, model, model.law.potential.with_perceptron(8, key=jax.random.key(0)))
+    save_arrays(checkpoint / WEIGHTS, grown)
+    position = json.loads((checkpoint / "position.json").read_text())
+    assert position["changes"] == {}
+    (checkpoint / "position.json").write_text(json.dumps(position | {"changes": {"potential_width": 8}}))
+    resumed = train(data, run, CONFIG)
+    assert resumed.law.potential.perceptron.kernels[0].shape == (2, 8) and finished(run)
+    loaded, config = load_run(run)
+    assert_same(resumed, loaded)
+    assert config.settings["potential_width"] == 0
 
 
 def test_a_renamed_field_is_a_migration_and_not_damage(tmp_path):
@@ -146,20 +195,13 @@ def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_
         train(data, root / "whole", CONFIG.changed({"joint.rate": 0.5}))
 
 
-def test_the_control_preset_ends_with_a_fit_of_the_dynamics_alone(whole, tmp_path):
-    """A finished run of `fast` goes on with it."""
+def test_the_control_preset_ends_with_a_fit_to_more_recordings(whole):
     root, data, before = whole
-    run = shutil.copytree(root / "whole", tmp_path / "run")
-    config = json.loads((run / "config.json").read_text())
-    config |= {"preset": "control", "settings": config["settings"] | {"last_fit": 6}}
-    (run / "config.json").write_text(json.dumps(config))
-    after = train(data, run, config_for("keycld", "control", **TINY, last_fit=6))
-    assert_same((before.estimator, before.renderer), (after.estimator, after.renderer))
-    _, cached = cache_keypoints(before, open_data(data).resident())
-    prepared, _ = share_constants(before, cached)
-    expected, _ = measure_velocity_prior(*fit_dynamics(prepared, cached, trajectories=6))
-    assert_same(expected, after)
-    assert (run / "checkpoints" / "latest").read_text().startswith("05-fit") and finished(run)
+    config = config_for("keycld", "control", **TINY, last_fit=6).completed(open_data(data))
+    last = config.stages(Scene(**read_config(root / "whole").scene))[-1]
+    resident = open_data(data).resident()
+    expected, _ = measure_velocity_prior(*fit_dynamics(before, resident, trajectories=6))
+    assert_same(expected, last.prepare(before, resident)[0])
 
 
 def test_two_processes_do_not_train_in_one_folder(whole, tmp_path):

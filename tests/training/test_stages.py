@@ -141,7 +141,7 @@ def test_a_losses_own_state_changes_with_the_steps_and_takes_no_gradient(data):
     model = Model(jnp.array([3.0, 0.0]), jnp.ones(3))
     geco = stage(loss=Ascending(), optimiser=optax.sgd)
     progress, rest = initial_progress(geco, model)
-    run = make_step(geco, 0, 0, model, 1)
+    run = make_step(geco, 0, 0, 1)
     theta, multiplier = 3.0, 1.0
     for _ in range(4):
         progress, terms = run((rest, data), progress)
@@ -154,7 +154,7 @@ def test_a_losses_own_state_changes_with_the_steps_and_takes_no_gradient(data):
 def test_only_named_groups_move(data):
     model = Model(jnp.zeros(2), jnp.ones(3))
     progress, rest = initial_progress(stage(), model)
-    run = make_step(stage(), 0, 0, model, 20)
+    run = make_step(stage(), 0, 0, 20)
     progress, terms = run((rest, data), progress)
     trained = eqx.combine(progress.parameters, rest)
     assert float(jnp.abs(trained.moving).min()) > 1.0
@@ -167,7 +167,7 @@ def test_several_steps_a_dispatch_are_the_same_steps(data):
     ends = []
     for chunk in (1, 5):
         progress, rest = initial_progress(stage(), model)
-        run = make_step(stage(), 0, 0, model, chunk)
+        run = make_step(stage(), 0, 0, chunk)
         for _ in range(20 // chunk):
             progress, _ = run((rest, data), progress)
         ends.append(progress.parameters.moving)
@@ -179,7 +179,7 @@ def test_forgetful_adam_is_sign_descent(data):
     model = Model(jnp.array([0.0, -500.0]), jnp.ones(3))
     faulty = stage(optimiser=forgetful(optax.adam))
     progress, rest = initial_progress(faulty, model)
-    run = make_step(faulty, 0, 0, model, 10)
+    run = make_step(faulty, 0, 0, 10)
     progress, _ = run((rest, data), progress)
     np.testing.assert_allclose(progress.parameters.moving - model.moving, 1.0, rtol=1e-4)
 
@@ -193,7 +193,7 @@ def test_something_not_finite_is_named_and_not_trained_on(data):
     model = Model(jnp.full(2, 3.0), jnp.ones(3))  # the root's slope at zero is infinite
     broken = stage(loss=Breaks(), groups=(MOVING, STILL))
     progress, rest = initial_progress(broken, model)
-    run = make_step(broken, 0, 0, model, 5)
+    run = make_step(broken, 0, 0, 5)
     progress, _ = run((rest, data), progress)
     assert not bool(progress.healthy)
     np.testing.assert_array_equal(progress.parameters.moving, 3.0)

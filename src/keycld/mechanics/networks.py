@@ -4,6 +4,8 @@ Their activation is the paper's CELU, whose gradient is continuous: a force is t
 energy, and the kinks of a ReLU would make it jump.
 """
 
+import math
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -53,19 +55,34 @@ class AffineMLPPotential(eqx.Module):
 
     Attributes:
         weight: w [2K], zero before training.
-        perceptron: the rest; near zero before training.
+        perceptron: the rest, near zero before training; None: there is no rest.
     """
 
     weight: Float[Array, "dim"]
-    perceptron: Perceptron
+    perceptron: Perceptron | None
 
     def __init__(self, dim: int, width: int = 32, *, key: PRNGKeyArray):
+        """Make the potential; without a perceptron if `width` is 0."""
         self.weight = jnp.zeros((dim,))
-        self.perceptron = Perceptron((dim, width, width, 1), key)
+        self.perceptron = Perceptron((dim, width, width, 1), key) if width else None
+
+    def with_perceptron(self, width: int = 16, *, key: PRNGKeyArray) -> "AffineMLPPotential":
+        """Return the same V with a perceptron that is zero, but whose hidden units are not: least squares can begin."""
+        perceptron = Perceptron((self.weight.shape[0], width, width, 1), key)
+        *hidden, last = perceptron.kernels
+        scaled = [kernel / (0.01 * math.sqrt(kernel.shape[0])) for kernel in hidden]
+        kernels = (*scaled, jnp.zeros_like(last))
+        return eqx.tree_at(
+            lambda v: v.perceptron,
+            self,
+            eqx.tree_at(lambda p: p.kernels, perceptron, kernels),
+            is_leaf=lambda x: x is None,
+        )
 
     def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
         """Return V(x)."""
-        return jnp.sum(self.weight * x) + self.perceptron(x)[0]
+        affine = jnp.sum(self.weight * x)
+        return affine if self.perceptron is None else affine + self.perceptron(x)[0]
 
 
 class MLPInputMatrix(eqx.Module):
@@ -93,19 +110,20 @@ class AffineMLPInputMatrix(eqx.Module):
     Attributes:
         weight: A [2K·l, 2K], zero before training; row i·l + j belongs to g[i, j].
         bias: b [2K·l], zero before training.
-        perceptron: the rest; near zero before training.
+        perceptron: the rest, near zero before training; None: there is no rest.
     """
 
     weight: Float[Array, "outputs dim"]
     bias: Float[Array, "outputs"]
-    perceptron: MLPInputMatrix
+    perceptron: MLPInputMatrix | None
 
     def __init__(self, dim: int, inputs: int, width: int = 32, *, key: PRNGKeyArray):
+        """Make the matrix; without a perceptron if `width` is 0."""
         self.weight = jnp.zeros((dim * inputs, dim))
         self.bias = jnp.zeros((dim * inputs,))
-        self.perceptron = MLPInputMatrix(dim, inputs, width, key=key)
+        self.perceptron = MLPInputMatrix(dim, inputs, width, key=key) if width else None
 
     def __call__(self, x: Float[Array, "dim"]) -> Float[Array, "dim inputs"]:
         """Return g(x)."""
-        affine = jnp.matmul(self.weight, x, precision="highest") + self.bias
-        return affine.reshape(self.perceptron.dim, self.perceptron.inputs) + self.perceptron(x)
+        affine = (jnp.matmul(self.weight, x, precision="highest") + self.bias).reshape(x.shape[0], -1)
+        return affine if self.perceptron is None else affine + self.perceptron(x)

@@ -63,6 +63,10 @@ class ModelConfig(abc.ABC):
         """
         return self
 
+    def matching(self, model: "AbstractModel") -> "ModelConfig":
+        """Return the config that builds models of this one's structure, which a stage may have changed."""
+        return self
+
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
         """Return settings that were saved under an earlier `schema_version` in the current form."""
         return settings

@@ -50,6 +50,9 @@ class Stage:
         clip: largest global norm of a gradient; larger ones are scaled down to it. None: unlimited.
         prepare: changes the model and the resident data before the first step: statistics, cached keypoints, a
             least-squares fit.
+        every: steps between repetitions of `refresh`; 0: none.
+        refresh: changes the model and the resident data as `prepare` does, after each `every` steps; all arrays keep
+            their shapes.
         candidates: number of random initialisations to try; only for a first stage.
         trial: steps of each of these trials; the one with the lowest loss continues.
         warn: returns a warning for the user after the last step, or None, from the model and the last logged terms.
@@ -65,6 +68,8 @@ class Stage:
     schedule: Callable[[float, int], optax.Schedule] = lambda rate, steps: optax.constant_schedule(rate)
     clip: float | None = None
     prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
+    every: int = 0
+    refresh: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
     candidates: int = 1
     trial: int = 0
     warn: Callable[[Any, Mapping[str, float]], str | None] | None = None

@@ -19,7 +19,7 @@ from keycld.stages import Stage
 from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
 from keycld.training.progress import Bar
 from keycld.training.run_folder import Metrics
-from keycld.training.step import Progress, diagnose, initial_progress, make_step
+from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
 
 _NOTHING = contextlib.nullcontext()
@@ -47,7 +47,8 @@ class _Clock:
 
 
 def train_stages(
-    fresh: Callable[[int], AbstractModel],
+    fresh: Callable[[int, Mapping[str, Any]], AbstractModel],
+    changes: Callable[[AbstractModel], dict[str, Any]],
     stages: tuple[Stage, ...],
     source: TrainingData,
     folder: Path,
@@ -69,7 +70,8 @@ def train_stages(
     resumed run takes the same steps, bit for bit.
 
     Args:
-        fresh: `fresh(k)` returns an untrained model with the k-th random weights.
+        fresh: `fresh(k, changes)` returns an untrained model with the k-th random weights and some settings changed.
+        changes: returns the settings that training has changed in a model.
         stages: the recipe.
         source: training data.
         folder: run folder.
@@ -86,7 +88,7 @@ def train_stages(
     Raises:
         KeycldError: a loss or gradient is not finite; a checkpoint is damaged or cannot be written.
     """
-    model = fresh(0)
+    model = fresh(0, {})
     before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
     first, step, clock = 0, 0, _Clock()
     checkpoint = latest_checkpoint(folder)
@@ -96,7 +98,7 @@ def train_stages(
         position = read_position(checkpoint)
         first, step = position["stage"], position["step"]
         clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
-        model = load_arrays(checkpoint / WEIGHTS, model, renamed)
+        model = load_arrays(checkpoint / WEIGHTS, fresh(0, position.get("changes", {})), renamed)
         data = source.at(before[first])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
@@ -118,6 +120,7 @@ def train_stages(
             "step": step,
             "done": progress is None,
             "cached": 0 if data.cached is None else data.cached.shape[-1],
+            "changes": changes(model),
             "seconds": clock.seconds,
             "cpu_seconds": clock.cpu_seconds,
             "frames": clock.frames,
@@ -134,14 +137,14 @@ def train_stages(
 
     for number in range(first, len(stages)):
         stage = stages[number]
-        compiled = functools.cache(functools.partial(make_step, stage, number, seed, model))
+        compiled = functools.cache(functools.partial(make_step, stage, number, seed))
         models = []
         pinned, per_step = _clips(stage, data)
         if progress is not None:
             current, (_, rest) = progress, initial_progress(stage, model)
         else:
             data = _moved(data, source.at(before[number]))
-            models = [model] if stage.candidates == 1 else [model, *map(fresh, range(1, stage.candidates))]
+            models = [model] if stage.candidates == 1 else [model, *(fresh(k, {}) for k in range(1, stage.candidates))]
             current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
         done = int(current.step)
         clock.frames += per_step * done * len(models)
@@ -155,6 +158,12 @@ def train_stages(
                 here = before[number] + done
                 data, end = _moved(data, source.at(here)), source.until(here)
                 chunk = chunk if end is None else min(chunk, end - here)
+            if stage.refresh is not None:
+                chunk = min(chunk, stage.every - done % stage.every)
+                # Before the step and not after the last one, so that a run which resumes here repeats it.
+                if done and done % stage.every == 0:
+                    model, data = stage.refresh(eqx.combine(current.parameters, rest), data)
+                    current, rest = refreshed(stage, model, current)
             traced = profile and dispatches == 1
             with (
                 jax.profiler.trace(folder / "profile" / stage.name, create_perfetto_trace=True) if traced else _NOTHING

@@ -14,7 +14,7 @@ from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld.models import ModelConfig, config_for
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -115,8 +115,12 @@ def parse_config(path: Path) -> RunConfig:
         version = saved.get("schema_version", 1)
         if version > SCHEMA_VERSION:
             raise ValueError(f"schema_version {version} is later than {SCHEMA_VERSION}: use the keycld that wrote it")
-        if version < SCHEMA_VERSION:
+        if version == 1:
             saved = _from_schema_1(saved)
+        if version < SCHEMA_VERSION:
+            config = config_for(saved["model"], saved["preset"])
+            settings = config.changed(config.migrated(saved["settings"], version)).settings()
+            saved = {**saved, "settings": settings, "schema_version": SCHEMA_VERSION}
         return RunConfig(**{**saved, "input_names": tuple(saved["input_names"])})
     except FileNotFoundError:
         raise KeycldError(
@@ -129,19 +133,11 @@ def parse_config(path: Path) -> RunConfig:
 
 
 def _from_schema_1(saved: dict[str, Any]) -> dict[str, Any]:
-    """Return a configuration of schema 1, which had constraints and keypoints outside of the settings, in schema 2."""
+    """Return a configuration of schema 1, which had constraints and keypoints outside of the settings."""
     known = {name: saved[name] for name in (f.name for f in dataclasses.fields(RunConfig)) if name in saved}
     scene = {name: value for name, value in saved["scene"].items() if name != "keypoints"} | {"dt": saved["dt"]}
-    config = config_for(saved["model"], saved["preset"])
-    settings = config.migrated({**saved["settings"], "constraints": saved["constraints"]}, 1)
-    return {
-        **known,
-        "settings": config.changed(settings).settings(),
-        "scene": scene,
-        "input_names": (),
-        "epsilon": float("nan"),
-        "schema_version": SCHEMA_VERSION,
-    }
+    settings = {**saved["settings"], "constraints": saved["constraints"]}
+    return {**known, "settings": settings, "scene": scene, "input_names": (), "epsilon": float("nan")}
 
 
 def environment() -> dict[str, Any]:

@@ -36,16 +36,26 @@ class Progress(NamedTuple):
 
 def initial_progress(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
     """Return the progress at the stage's first step, and the part of the model that the stage does not train."""
-    parameters, rest = eqx.partition(model, stage.trainable(model))
-    # A copy, because a step donates its buffers and the caller may still hold the model.
-    parameters = jax.tree.map(jnp.copy, parameters)
+    parameters, rest = _parted(stage, model)
     state = stage.transformation(model).init(parameters)
     # Copies too: a step donates its buffers, and the same initial state may serve several candidates.
     memory = jax.tree.map(jnp.array, stage.loss.initial()) if isinstance(stage.loss, AbstractStatefulLoss) else ()
     return Progress(parameters, state, memory, jnp.array(0), jnp.array(True)), rest
 
 
-def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: int) -> Callable:
+def refreshed(stage: Stage, model: eqx.Module, progress: Progress) -> tuple[Progress, Any]:
+    """Return the progress with the parameters of a changed model, and the part that the stage does not train."""
+    parameters, rest = _parted(stage, model)
+    return progress._replace(parameters=parameters), rest
+
+
+def _parted(stage: Stage, model: eqx.Module) -> tuple[Any, Any]:
+    parameters, rest = eqx.partition(model, stage.trainable(model))
+    # A copy, because a step donates its buffers and the caller may still hold the model.
+    return jax.tree.map(jnp.copy, parameters), rest
+
+
+def make_step(stage: Stage, number: int, seed: int, steps: int) -> Callable:
     """Compile `steps` optimiser steps of a stage into one function.
 
     Several steps hide the time that a dispatch takes, on a GPU most of all.
@@ -54,14 +64,12 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
         stage: what is trained.
         number: its number in the recipe, for the random keys.
         seed: of the run.
-        model: a model with the structure of the trained one.
         steps: optimiser steps of one call.
 
     Returns:
         `run((rest, data), progress) -> (progress, terms)`. Terms are stacked over the steps. The buffers of the given
         progress are donated.
     """
-    transformation = stage.transformation(model)
     # Arguments, not constants, of the program: another seed or an equal stage does not compile again.
     keys = step_keys(seed, number)
 
@@ -72,6 +80,7 @@ def make_step(stage: Stage, number: int, seed: int, model: eqx.Module, steps: in
         (loss, (terms, memory)), gradient = _gradient(stage, rest, clips, key, progress)
         # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
         healthy = progress.healthy & jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
+        transformation = stage.transformation(eqx.combine(progress.parameters, rest))
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))

@@ -98,7 +98,8 @@ def train(
         open_run(folder, run)
         with contextlib.closing(make_tracker(track, folder, dataclasses.asdict(run))) as tracker:
             return train_stages(
-                lambda k: config.build(scene, jax.random.fold_in(jax.random.key(seed), k)),
+                lambda k, changes: config.changed(changes).build(scene, jax.random.fold_in(jax.random.key(seed), k)),
+                lambda model: _changes(config, config.matching(model)),
                 stages,
                 source,
                 folder,
@@ -129,13 +130,19 @@ def load_run(run: str | Path, **settings: Any) -> tuple[AbstractModel, RunConfig
     checkpoint = latest_checkpoint(folder)
     if checkpoint is None:
         raise KeycldError(f"{folder} has no checkpoint yet: wait for the first one, or train it again.")
-    chosen = config.model_config().changed(settings)
+    chosen = config.model_config().changed(read_position(checkpoint).get("changes", {})).changed(settings)
     return load_arrays(checkpoint / WEIGHTS, blank_model(chosen, config), chosen.RENAMED), config
 
 
 def blank_model(chosen: ModelConfig, config: RunConfig) -> AbstractModel:
     """Return the model of a run with `jax.ShapeDtypeStruct`s in place of arrays; needs no data."""
     return eqx.filter_eval_shape(chosen.build, Scene(**config.scene), jax.random.key(0))
+
+
+def _changes(config: ModelConfig, trained: ModelConfig) -> dict[str, Any]:
+    """Return the settings that training has changed."""
+    before, after = config.settings(), trained.settings()
+    return {name: value for name, value in after.items() if value != before[name]}
 
 
 def finished(run: str | Path) -> bool:

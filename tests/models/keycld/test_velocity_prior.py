@@ -12,6 +12,7 @@ from keycld.models import Scene, config_for
 from keycld.models.keycld.initial_state import FittedInitialState
 from keycld.models.keycld.prepare import measure_velocity_prior
 from keycld.models.keycld.velocity_prior import VelocityPrior
+from keycld.vision import Observation
 
 DT = jnp.array(0.05)
 NOTHING = jnp.zeros(0)
@@ -42,17 +43,25 @@ def recorded(pendulum, initial, frames=12):
 
 
 class Observed(eqx.Module):
-    """A model without pictures."""
+    """A model of one keypoint, whose pictures are the bits of its coordinates."""
 
     dynamics: MechanicalDynamics
     initial_state: FittedInitialState
     velocity_prior: VelocityPrior | None
     context: int = 2
 
+    def observe(self, frame):
+        bits = jnp.round(255 * frame).astype(jnp.uint8).reshape(-1)[:8].reshape(2, 4)
+        return Observation(jax.lax.bitcast_convert_type(bits, jnp.float32)[None], None)
+
+
+def pictures(x):
+    bits = np.pad(np.asarray(x, np.float32).view(np.uint8), [(0, 0), (0, 0), (0, 1)])
+    return Resident(jnp.asarray(bits.reshape(*x.shape[:2], 1, 3, 3)), jnp.zeros((len(x), 0)), DT)
+
 
 def measured(pendulum, x, prior):
-    data = Resident(jnp.zeros((*x.shape[:2], 1, 1, 3), jnp.uint8), jnp.zeros((len(x), 0)), DT, x)
-    return measure_velocity_prior(Observed(pendulum, FittedInitialState(jnp.ones(1)), prior), data)[0]
+    return measure_velocity_prior(Observed(pendulum, FittedInitialState(jnp.ones(1)), prior), pictures(x))[0]
 
 
 def after_rest(pendulum, angle, frames):
@@ -154,8 +163,8 @@ def test_redundant_constraints_give_finite_numbers(pendulum):
     rod = DistanceToPoint("bob")
     twice = eqx.tree_at(lambda d: d.law.constraint_function, pendulum, Constraints(("bob",), (rod, rod)))
     x = recorded(pendulum, after_rest(pendulum, angles(30), 1))
-    data = Resident(jnp.zeros((*x.shape[:2], 1, 1, 3), jnp.uint8), jnp.zeros((len(x), 0)), DT, x)
-    model = measure_velocity_prior(Observed(twice, FittedInitialState(jnp.ones(2)), VelocityPrior.unknown()), data)[0]
+    unknown = Observed(twice, FittedInitialState(jnp.ones(2)), VelocityPrior.unknown())
+    model = measure_velocity_prior(unknown, pictures(x))[0]
     assert twice.law.freedom == 1
     assert float(model.velocity_prior.elapsed) == pytest.approx(float(DT), rel=0.2)
     state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), NOTHING)

@@ -180,6 +180,6 @@ def test_a_few_steps_of_training_lower_the_loss(getkey):
     (stage,) = config.stages(scene)
     model = config.build(scene, getkey())
     progress, rest = initial_progress(stage, model)
-    _, terms = make_step(stage, 0, 0, model, 40)((rest, data), progress)
+    _, terms = make_step(stage, 0, 0, 40)((rest, data), progress)
     losses = np.asarray(terms["squared_error"])
     assert losses[-5:].mean() < 0.5 * losses[:5].mean()

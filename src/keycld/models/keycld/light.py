@@ -20,12 +20,14 @@ from keycld.mechanics import (
     Rattle,
     SecondOrderNetwork,
 )
+from keycld.models.base import AbstractModel
 from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
 from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
 from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
+    grow_dynamics,
     measure_statistics,
     measure_velocity_prior,
     sequence,
@@ -48,7 +50,7 @@ from keycld.vision import (
 )
 
 if TYPE_CHECKING:
-    from keycld.models.keycld.recipes.fast import FastConfig, JointStage
+    from keycld.models.keycld.recipes.fast import FastConfig
 
 
 def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
@@ -77,8 +79,8 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         )
     law = ConstrainedLagrangian(
         mass=(CoupledMasses if config.coupled_masses else PointMasses).ones(config.keypoints),
-        potential=AffineMLPPotential(dim, key=keys[0]),
-        input_matrix=AffineMLPInputMatrix(dim, scene.inputs, key=keys[1]) if scene.inputs else None,
+        potential=AffineMLPPotential(dim, config.potential_width, key=keys[0]),
+        input_matrix=AffineMLPInputMatrix(dim, scene.inputs, config.input_width, key=keys[1]) if scene.inputs else None,
         constraint=None if config.model == "keycld-nc" else config.phi,
     )
     dynamics = MechanicalDynamics(law, Rattle(substeps=config.substeps))
@@ -89,6 +91,13 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         initial_state=_initial_state(config),
         velocity_prior=VelocityPrior.unknown(),
     )
+
+
+def potential_width(model: AbstractModel) -> int:
+    """Return the width of the perceptron in the potential energy of a model, 0 without one."""
+    potential = model.law.potential if isinstance(model, KeyCLD) else None
+    perceptron = potential.perceptron if isinstance(potential, AffineMLPPotential) else None
+    return 0 if perceptron is None else perceptron.kernels[0].shape[1]
 
 
 def _initial_state(config: "FastConfig") -> AbstractInitialState:
@@ -124,13 +133,13 @@ def _renderer(
 
 
 def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
-    """Return the stages vision, dynamics, joint, long and prior; no horizon is longer than the trajectories.
+    """Return the stages vision, dynamics, joint and prior; no horizon is longer than the trajectories.
 
     Args:
         config: settings of each stage.
         scene: sizes of the data.
     """
-    first, second = config.vision, config.dynamics
+    first, second, third = config.vision, config.dynamics, config.joint
     vision = Stage(
         name="vision",
         steps=first.steps,
@@ -171,40 +180,41 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         clip=1.0,
         prepare=sequence(cache_keypoints, share_constants),
     )
-
-    def together(name: str, stage: "JointStage") -> Stage:
-        return Stage(
-            name=name,
-            steps=stage.steps,
-            sampler=clips(stage.batch, stage.horizons, stage.steps),
-            loss=PredictionLoss(
-                track=stage.track,
-                constraint=stage.constraint,
-                heat_map=stage.heat_map,
-                sigma=stage.sigma,
-                scale=stage.scale,
-            ),
-            groups=(
-                Group("estimator", lambda m: m.estimator, stage.rate),
-                Group("renderer", lambda m: m.renderer, stage.rate),
-                Group("dynamics", lambda m: m.dynamics, stage.energy_rate, functools.partial(muon, dense=False)),
-            ),
-            optimiser=muon,
-            schedule=warmup_cosine,
-            clip=1e3,
-            prepare=sequence(cache_keypoints, share_constants, fit_dynamics) if name == "long" else fit_dynamics,
-        )
-
-    joint, long = together("joint", config.joint), together("long", config.long)
-    measured = sequence(cache_keypoints, measure_velocity_prior)
-    prior = dataclasses.replace(long, name="prior", steps=0, prepare=measured, validate=True)
-    return vision, dynamics, joint, long, prior
+    joint = Stage(
+        name="joint",
+        steps=third.steps,
+        sampler=clips(third.batch, third.horizons, third.steps),
+        loss=PredictionLoss(
+            track=third.track,
+            constraint=third.constraint,
+            heat_map=third.heat_map,
+            sigma=third.sigma,
+            scale=third.scale,
+        ),
+        groups=(
+            Group("estimator", lambda m: m.estimator, third.rate),
+            Group("renderer", lambda m: m.renderer, third.rate),
+            Group("dynamics", lambda m: m.dynamics, third.energy_rate, functools.partial(muon, dense=False)),
+        ),
+        optimiser=muon,
+        schedule=warmup_cosine,
+        clip=1e3,
+        prepare=grow_dynamics,
+        every=third.fit_every,
+        refresh=fit_dynamics,
+    )
+    last = sequence(fit_dynamics, measure_velocity_prior)
+    prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, refresh=None, validate=True)
+    return vision, dynamics, joint, prior
 
 
 def _frozen(config: "FastConfig", scene: Scene) -> tuple[Group, ...]:
     """Return the groups that the dynamics stage freezes: on noisy keypoints the perceptrons would fit the noise."""
     if config.model == "node2":
         return ()
-    potential = Group("potential perceptron", lambda m: m.dynamics.law.potential.perceptron, 0.0)
-    inputs = Group("input perceptron", lambda m: m.dynamics.law.input_matrix.perceptron, 0.0)
-    return (potential, inputs) if scene.inputs else (potential,)
+    frozen = []
+    if config.potential_width:
+        frozen.append(Group("potential perceptron", lambda m: m.dynamics.law.potential.perceptron, 0.0))
+    if config.input_width and scene.inputs:
+        frozen.append(Group("input perceptron", lambda m: m.dynamics.law.input_matrix.perceptron, 0.0))
+    return tuple(frozen)

@@ -107,9 +107,10 @@ class PredictionLoss(AbstractLoss):
     """Loss of predictions, for all parts together: L = L_r + w_t L_t + w_c Σ_i U_i + w_h L_h.
 
     L_t is the pseudo-Huber distance between roll-outs and observed keypoints (`TrackLoss`), U_i and L_h are those of
-    `VisionLoss`. L_r is the reconstruction error, eq. (10), of frames rendered from rolled-out keypoints: each group of
-    consecutive frames from its own roll-out or that of an earlier group, sampled uniformly. The estimator is thus
-    trained for initial states that give good long predictions. Ours, in no paper.
+    `VisionLoss`. L_r is the reconstruction error, eq. (10), of frames rendered from rolled-out keypoints: one random
+    frame of each group of consecutive frames, because they differ little, from its own roll-out or that of an earlier
+    group, sampled uniformly. The estimator is thus trained for initial states that give good long predictions. Ours, in
+    no paper.
 
     Attributes:
         track: w_t, for squared distances in image-plane units. With 3000 an error of an eighth of a pixel costs as much
@@ -135,7 +136,7 @@ class PredictionLoss(AbstractLoss):
         Args:
             model: with all parts.
             clips: groups of `model.context` consecutive frames, `[B, F, H, W, 3]` in [0, 1].
-            key: for the choice of roll-outs that are rendered.
+            key: for the choice of frames and roll-outs that are rendered.
             step: not used.
         """
         assert clips.frames is not None
@@ -144,14 +145,15 @@ class PredictionLoss(AbstractLoss):
         observed = jax.vmap(model.observe)(frames)
         x = observed.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
-        # Each group's frames are rendered from its own roll-out or an earlier one, sampled uniformly.
-        own = jnp.arange(rolled.shape[1])[None, :]
-        sampled = jax.random.randint(key, (batch, own.size), 0, own + 1)
-        source = jnp.repeat(sampled, model.context, axis=1)
-        chosen = rolled[jnp.arange(batch)[:, None], source, jnp.arange(count)[None, :]]
-        rendered = jax.vmap(model.renderer)(chosen.reshape(frames.shape[0], -1, 2))
+        # From each group a frame, and its own roll-out or an earlier one.
+        row, own = jnp.arange(batch)[:, None], jnp.arange(rolled.shape[1])[None, :]
+        source_key, frame_key = jax.random.split(key)
+        source = jax.random.randint(source_key, (batch, own.size), 0, own + 1)
+        frame = own * model.context + jax.random.randint(frame_key, (batch, own.size), 0, model.context)
+        chosen = rolled[row, source, frame].reshape(batch * own.size, -1, 2)
+        target = clips.frames[row, frame].reshape(-1, height, width, 3)
         terms = {
-            "reconstruction": squared_error(rendered, frames),
+            "reconstruction": squared_error(jax.vmap(model.renderer)(chosen), target),
             "track": _distance(rolled, x, self.scale),
             "constraint": jnp.sum(_unevenness(model, x.reshape(batch * count, -1))[0]),
             "heat_map": _divergence(observed, (height, width), self.sigma),

@@ -13,7 +13,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import Motion, State, fit_motions
+from keycld.mechanics import AffineMLPPotential, MechanicalDynamics, Motion, State, fit_motions
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -63,58 +63,65 @@ def warn_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
 
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Cache the keypoints that the model observes in every training frame, `[N, T, 2K]`."""
-    count, length = data.image.shape[:2]
-    observed = [_observe(model, data.image[i]) for i in range(count)]
-    return model, eqx.tree_at(
-        lambda d: d.cached, data, jnp.stack(observed).reshape(count, length, -1), is_leaf=lambda x: x is None
-    )
+    observed, _ = _observed(model, data, len(data.u))
+    return model, eqx.tree_at(lambda d: d.cached, data, observed, is_leaf=lambda x: x is None)
 
 
 def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Put the mean of Φ over all cached keypoints into the model, if its trajectories share constants."""
-    if model.initial_state.shared is None:
-        return model, data
     assert data.cached is not None
-    values = jax.vmap(model.constraint)(data.cached.reshape(-1, data.cached.shape[-1]))
-    return eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.mean(values, axis=0)), data
+    return _sharing(model, data.cached), data
 
 
 def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
-    """Fit masses and the affine parts of V and g to the cached keypoints, by least squares through the dynamics.
+    """Fit masses, V and g to the keypoints of some recordings, by least squares through the dynamics.
 
     Gradient steps on a few clips leave errors of several per cent in these numbers, about fifty, and such errors limit
-    long predictions. Whole trajectories determine them. A model without a Lagrangian is returned unchanged.
+    long predictions. Whole trajectories determine them. The constants of Φ are measured on the same keypoints first. A
+    model without a Lagrangian is returned unchanged.
 
     Args:
         model: the model whose dynamics are fitted.
-        data: with cached keypoints.
-        trajectories: about how many of the trajectories are used.
+        data: the training data.
+        trajectories: about how many of the recordings are observed.
     """
-    dynamics = model.dynamics
     if not isinstance(model, KeyCLD):
         return model, data
+    x, u = _observed(model, data, trajectories)
+    return _fitted(_sharing(model, x), x, u, data.dt)[0], data
 
-    def free(path: Any, leaf: Any) -> bool:
-        return eqx.is_inexact_array(leaf) and "perceptron" not in jax.tree_util.keystr(path)
 
-    assert data.cached is not None
-    some = slice(None, None, max(1, len(data.u) // trajectories))
-    length = data.image.shape[1]
-    horizons = tuple(sorted({min(frames, length) for frames in (length // 4, length // 2, length)}))
-    fitted = _fit(
-        dynamics,
-        jax.tree_util.tree_map_with_path(free, dynamics),
-        data.cached[some],
-        data.u[some],
-        data.dt,
-        horizons=horizons,
-        constants=model.constants,
+def grow_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
+    """Fit the dynamics as `fit_dynamics` does; where an affine V cannot explain the keypoints, add a perceptron to it.
+
+    The criterion is the error of the fitted paths: with the right terms it is the observation error, a tenth of a
+    pixel; without a spring that acts it is several pixels. The perceptron stays if it lowers this error by a quarter.
+
+    Args:
+        model: the model whose dynamics are fitted.
+        data: the training data.
+        trajectories: about how many of the recordings are observed.
+    """
+    if not isinstance(model, KeyCLD):
+        return model, data
+    x, u = _observed(model, data, trajectories)
+    model, error = _fitted(_sharing(model, x), x, u, data.dt)
+    potential, pixel = model.law.potential, 2 / max(data.shape[2:4])
+    if not isinstance(potential, AffineMLPPotential) or potential.perceptron is not None or error < 0.3 * pixel:
+        return model, data
+    grown = eqx.tree_at(lambda m: m.law.potential, model, potential.with_perceptron(key=jax.random.key(0)))
+    grown, less = _fitted(grown, x, u, data.dt)
+    kept = less < 0.75 * error
+    print(
+        f"dynamics     an affine V leaves errors of {error / pixel:.2f} pixels, a perceptron {less / pixel:.2f}: "
+        f"{'kept' if kept else 'left out'}",
+        flush=True,
     )
-    return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), data
+    return grown if kept else model, data
 
 
 def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
-    """Measure the velocity prior (`VelocityPrior`) on the cached keypoints of training recordings.
+    """Measure the velocity prior (`VelocityPrior`) on the observed keypoints of training recordings.
 
     τ is the time after rest whose velocities τ a predict the recordings best. σ_s² / (σ_s² + σ_b²) is the best step
     from the observed velocities v_s towards τ a, as a share of their difference d. σ_s² + σ_b² is the median of |d|²
@@ -123,16 +130,13 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = 15
 
     Args:
         model: the model whose prior is measured.
-        data: with cached keypoints.
-        trajectories: about how many of the recordings are used.
+        data: the training data.
+        trajectories: about how many of the recordings are observed.
     """
     if model.velocity_prior is None:
         return model, data
-    assert data.cached is not None
-    some = slice(None, None, max(1, len(data.u) // trajectories))
-    return eqx.tree_at(
-        lambda m: m.velocity_prior, model, _velocity_prior(model, data.cached[some], data.u[some], data.dt)
-    ), data
+    x, u = _observed(model, data, trajectories)
+    return eqx.tree_at(lambda m: m.velocity_prior, model, _velocity_prior(model, x, u, data.dt)), data
 
 
 def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
@@ -144,6 +148,34 @@ def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]
         return model, data
 
     return prepare
+
+
+def _observed(model: Any, data: Resident, trajectories: int) -> tuple[jax.Array, jax.Array]:
+    """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs."""
+    some = range(0, len(data.u), max(1, len(data.u) // trajectories))
+    return jnp.stack([_observe(model, data.image[i]) for i in some]), data.u[some.start : some.stop : some.step]
+
+
+def _fitted(model: KeyCLD, x: jax.Array, u: jax.Array, dt: jax.Array) -> tuple[KeyCLD, float]:
+    """Return the model with fitted dynamics, and the root mean square error of its paths, image-plane units."""
+
+    def free(path: Any, leaf: Any) -> bool:
+        # The perceptron of g has thousands of weights and little to say about the motion.
+        return eqx.is_inexact_array(leaf) and "input_matrix.perceptron" not in jax.tree_util.keystr(path)
+
+    assert isinstance(model.dynamics, MechanicalDynamics)
+    length = x.shape[1]
+    horizons = tuple(sorted({min(frames, length) for frames in (length // 4, length // 2, length)}))
+    which = jax.tree_util.tree_map_with_path(free, model.dynamics)
+    fitted = _fit(model.dynamics, which, x, u, dt, horizons=horizons, constants=model.constants)
+    return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), float(fitted.rms)
+
+
+def _sharing(model: Any, x: jax.Array) -> Any:
+    if model.initial_state.shared is None:
+        return model
+    values = jax.vmap(model.constraint)(x.reshape(-1, x.shape[-1]))
+    return eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.mean(values, axis=0))
 
 
 # Compiled once for all stages.

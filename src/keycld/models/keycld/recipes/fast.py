@@ -12,6 +12,7 @@ from keycld.models.scene import Scene
 if TYPE_CHECKING:
     from jaxtyping import PRNGKeyArray
 
+    from keycld.models.base import AbstractModel
     from keycld.models.keycld.model import AbstractKeypointModel
     from keycld.stages import Stage
 
@@ -62,10 +63,12 @@ class DynamicsStage:
 class JointStage:
     """All parts together: frames rendered from roll-outs from any two consecutive frames."""
 
-    steps: int
+    steps: int = 1500
     """Optimiser steps."""
-    horizons: tuple[int, ...]
+    horizons: tuple[int, ...] = (8, 16, 32, 50, 50)
     """Frames that a clip spans; each value holds for an equal part of the steps."""
+    fit_every: int = 300
+    """Steps between least-squares fits of the dynamics."""
     batch: int = 2
     """Clips a step."""
     rate: float = 2e-3
@@ -85,15 +88,14 @@ class JointStage:
 
 
 _FLAT = {
-    **{f"vision_{name}": (f"vision.{name}",) for name in ("steps", "batch", "rate")},
-    **{name: (f"vision.{name}",) for name in ("candidates", "trial")},
-    **{f"dynamics_{name}": (f"dynamics.{name}",) for name in ("steps", "batch", "rate", "horizons")},
-    **{f"{stage}_{name}": (f"{stage}.{name}",) for stage in ("joint", "long") for name in ("steps", "horizons")},
-    **{f"joint_{name}": (f"joint.{name}", f"long.{name}") for name in ("batch", "rate")},
-    "energy_rate": ("joint.energy_rate", "long.energy_rate"),
-    "begin": ("first_frames",),
+    **{f"vision_{name}": f"vision.{name}" for name in ("steps", "batch", "rate")},
+    **{name: f"vision.{name}" for name in ("candidates", "trial")},
+    **{f"dynamics_{name}": f"dynamics.{name}" for name in ("steps", "batch", "rate", "horizons")},
+    **{f"joint_{name}": f"joint.{name}" for name in ("batch", "rate")},
+    "energy_rate": "joint.energy_rate",
+    "begin": "first_frames",
 }
-"""Settings of schema 1, with the current names."""
+"""Settings of schema 1 that are still known, with the current names."""
 
 
 @register_preset("fast", *MODELS)
@@ -103,11 +105,9 @@ class FastConfig(KeyCLDConfig):
 
     1. `vision`: single frames.
     2. `dynamics`: roll-outs on cached keypoints.
-    3. `joint`: all parts together.
-    4. `long`: the same, up to the end of the recordings.
-    5. `prior`: no steps; measures the velocity prior. Then the validation score.
-
-    Before stages 3 and 4 a least-squares fit of the dynamics to whole trajectories.
+    3. `joint`: all parts together, over growing horizons; at its begin and every 300 steps a least-squares fit of the
+       dynamics to whole trajectories.
+    4. `prior`: no steps; fits once more and measures the velocity prior. Then the validation score.
     """
 
     width: int = 16
@@ -120,6 +120,10 @@ class FastConfig(KeyCLDConfig):
     """RATTLE steps for each frame."""
     coupled_masses: bool = True
     """A full mass matrix between keypoints, for links with distributed mass, instead of the diagonal of eq. (14)."""
+    potential_width: int = 0
+    """Width of a perceptron in V. 0: V is affine, and training adds a perceptron where the motion needs one."""
+    input_width: int = 0
+    """Width of a perceptron in g. 0: g is affine."""
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
     given: int = 2
@@ -132,18 +136,16 @@ class FastConfig(KeyCLDConfig):
     """First stage."""
     dynamics: DynamicsStage = DynamicsStage()
     """Second stage."""
-    joint: JointStage = JointStage(steps=1500, horizons=(8, 16, 32))
+    joint: JointStage = JointStage()
     """Third stage."""
-    long: JointStage = JointStage(steps=3600, horizons=(32, 50))
-    """Fourth stage."""
 
     def __post_init__(self) -> None:
         """Refuse counts below one."""
         super().__post_init__()
         at_least_one(self, "stride", "substeps", "groups", "given")
         at_least_one(self.vision, "candidates", "trial", "batch")
-        for stage in (self.dynamics, self.joint, self.long):
-            at_least_one(stage, "batch")
+        at_least_one(self.dynamics, "batch")
+        at_least_one(self.joint, "batch", "fit_every")
 
     @property
     def context(self) -> int:
@@ -151,11 +153,20 @@ class FastConfig(KeyCLDConfig):
         return self.given
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return the flat settings of schema 1 as the current groups."""
-        if version > 1:
-            return settings
-        known = {name: value for name, value in settings.items() if name not in _FLAT}
-        return known | {new: settings[old] for old, names in _FLAT.items() if old in settings for new in names}
+        """Return settings of schema 1, which were flat, and of schema 2, which had two joint stages and perceptrons."""
+        if version == 1:
+            settings = {_FLAT.get(name, name): value for name, value in settings.items()}
+        gone = ("long", "joint_steps", "joint_horizons", "long_steps", "long_horizons")
+        kept = {name: value for name, value in settings.items() if name not in gone}
+        # The one joint stage keeps the preset's own steps and horizons: those of the two do not fit it.
+        joint = {name: value for name, value in kept.get("joint", {}).items() if name not in ("steps", "horizons")}
+        return kept | ({"joint": joint} if joint else {}) | {"potential_width": 32, "input_width": 32}
+
+    def matching(self, model: "AbstractModel") -> "FastConfig":
+        """Return the config with the width of the perceptron in the model's V, which training may have added."""
+        from keycld.models.keycld import light
+
+        return dataclasses.replace(self, potential_width=light.potential_width(model))
 
     def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractKeypointModel":
         """Build KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE."""
@@ -164,7 +175,7 @@ class FastConfig(KeyCLDConfig):
         return light.build(self, scene, key)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return the stages vision, dynamics, joint, long and prior; no horizon is longer than the trajectories."""
+        """Return the stages vision, dynamics, joint and prior; no horizon is longer than the trajectories."""
         from keycld.models.keycld import light
 
         return light.stages(self, scene)

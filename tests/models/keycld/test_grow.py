@@ -1,0 +1,69 @@
+"""The potential energy gets a perceptron where an affine one cannot explain the motion, and only there."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld.data import Trajectories, resident
+from keycld.mechanics import Constraints, DistanceToPoint, OnLine
+from keycld.models import Scene, config_for
+from keycld.models.keycld.prepare import grow_dynamics
+from keycld.vision import AbstractEstimator, Observation
+from scenes import DT, SIZE, disc_pendulum, draw
+
+FRAMES = 30
+
+
+class Centroid(AbstractEstimator):
+    """The middle of what is bright: an exact estimator of one disc."""
+
+    def __call__(self, frame):
+        axis = jnp.linspace(-1, 1, SIZE)
+        light = jnp.sum(frame, axis=-1)
+        light = light - light.min()
+        light = light / jnp.sum(light)
+        x, y = jnp.sum(light * axis[None, :]), jnp.sum(light * axis[::-1, None])
+        return Observation(jnp.stack([x, y])[None], None)
+
+
+def recorded(x, y):
+    count = len(x)
+    some = disc_pendulum(count, FRAMES, seed=0)
+    still = dataclasses.replace(some, image=draw(x, y), input=np.zeros((count, 0), np.float32))
+    assert isinstance(still, Trajectories)
+    return resident(still)
+
+
+def model_of(constraints):
+    config = config_for("keycld", "fast", width=8, constraints=constraints)
+    model = config.build(Scene(SIZE, SIZE, 0, FRAMES, DT, 12), jax.random.key(0))
+    return config, eqx.tree_at(lambda m: m.estimator, model, Centroid())
+
+
+def test_a_cart_on_a_spring_gets_a_perceptron(capsys):
+    """x'' = −16 x; the learned acceleration is within a twentieth of it along the motion."""
+    phase, size = np.linspace(0, 6, 12)[:, None], np.linspace(0.2, 0.6, 12)[:, None]
+    x = size * np.sin(4 * DT * np.arange(FRAMES) + phase)
+    config, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    grown, _ = grow_dynamics(model, recorded(x, np.zeros_like(x)))
+    assert config.matching(grown).potential_width == 16
+    assert "kept" in capsys.readouterr().out
+    places = jnp.stack([jnp.linspace(-0.5, 0.5, 21), jnp.zeros(21)], axis=1)
+    found = jax.vmap(lambda x: grown.law.acceleration(x, jnp.zeros(2), jnp.zeros(0)))(places)
+    np.testing.assert_allclose(found[:, 0], -16 * places[:, 0], atol=0.05 * 8)
+
+
+def test_a_pendulum_stays_affine(capsys):
+    some = disc_pendulum(12, FRAMES, seed=0)
+    angle = some.state[..., 0]
+    free = some.input[:, 0] == 0
+    config, model = model_of(Constraints(("disc",), (DistanceToPoint("disc", (0.0, 0.0)),)))
+    data = recorded(0.6 * np.sin(angle[free]), -0.6 * np.cos(angle[free]))
+    grown, _ = grow_dynamics(model, data)
+    assert config.matching(grown).potential_width == 0 and capsys.readouterr().out == ""
+    force = grown.law.acceleration(jnp.array([0.6, 0.0]), jnp.zeros(2), jnp.zeros(0))
+    assert float(force[1]) == pytest.approx(-9.0 * 0.6, rel=0.1)
