@@ -11,7 +11,7 @@ from keycld.data.format.folder import CONSTRAINTS, read_statistics, unfinished
 from keycld.data.format.reading import blocks, read, recordings
 from keycld.data.format.rules import EVERY
 from keycld.data.format.trajectories import Trajectories
-from keycld.data.generate.make import make_split
+from keycld.data.generate.make import provide
 from keycld.data.generate.recipes import deferred
 from keycld.data.generate.sweeps import Sweep, sweeps_of
 from keycld.data.sample.resident import Resident
@@ -46,10 +46,9 @@ class DataSet:
             KeycldError: the folder lacks it; or the folder may not be written, and as `make_data`.
         """
         path = self.folder / f"{name}.h5"
+        provide(path)
         if not path.exists():
-            if name not in deferred(self.folder):
-                raise KeycldError(f"{self.folder} has no {name}.h5, only {', '.join(self.splits)}: make or add it.")
-            make_split(self.folder, name)
+            raise KeycldError(f"{self.folder} has no {name}.h5, only {', '.join(self.splits)}: make or add it.")
         return path
 
     def count(self, name: str) -> int:

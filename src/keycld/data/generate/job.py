@@ -93,11 +93,10 @@ class Job:
 
     def finished(self) -> bool:
         """Tell whether the folder holds exactly these data; raise if it holds others."""
-        found = read_statistics(self._folder)
-        if found is None:
+        if read_statistics(self._folder) is None:
             return False
         refuse_another(self._recipe, stored_recipe(self._folder), self._folder)
-        return not self._missing(found)
+        return not self._missing()
 
     def refuse_others(self) -> None:
         """Raise if the folder holds data from elsewhere, or unfinished data of another recipe."""
@@ -122,11 +121,10 @@ class Job:
         if self.finished():
             shutil.rmtree(partial, ignore_errors=True)
             return self.made(False, 0)
-        found = read_statistics(folder)
-        missing = self._missing(found)
+        missing = self._missing()
         make_folder(partial)
         write_text(partial / "recipe.json", json.dumps(self._recipe))
-        if found is not None and set(missing) <= set(ON_DEMAND):
+        if read_statistics(folder) is not None and set(missing) <= set(ON_DEMAND):
             # The rest of the set is complete, and stays in use meanwhile.
             frames = self._make([name for name in missing if not self._file(name).exists()], workers, progress)
             describe_more(folder, missing, time.monotonic() - self._began, frames)
@@ -144,15 +142,19 @@ class Job:
         return self._folder / f"{name}.h5"
 
     def _wanted(self) -> list[str]:
-        """List all splits except those for later; a split that is there or was begun is not for later."""
+        """List all splits except those for later; one that is there, was begun or was lost is not for later."""
         begun = {part.split for part in self._parts if part.path.exists()}
-        later = [name for name in ON_DEMAND if name not in (*self._now, *begun) and not self._file(name).exists()]
+        now = {*self._now, *begun, *self._described()}
+        later = [name for name in ON_DEMAND if name not in now and not self._file(name).exists()]
         return [name for name in dict.fromkeys(part.split for part in self._parts) if name not in later]
 
-    def _missing(self, statistics: dict[str, Any] | None) -> list[str]:
+    def _missing(self) -> list[str]:
         """List the wanted splits without a file, or that the statistics of the folder do not describe."""
-        described = (statistics or {}).get("splits", {})
+        described = self._described()
         return [name for name in self._wanted() if name not in described or not self._file(name).exists()]
+
+    def _described(self) -> dict[str, Any]:
+        return (read_statistics(self._folder) or {}).get("splits", {})
 
     def _make(self, names: Sequence[str], workers: int | None, progress: Callable[[Progress], None] | None) -> int:
         """Make the files of splits and return how many frames were rendered; parts that exist are used."""

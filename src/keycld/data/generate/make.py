@@ -10,7 +10,7 @@ from keycld._errors import KeycldError
 from keycld._progress import Bar
 from keycld.data.format.folder import PARTIAL
 from keycld.data.generate.job import Job, Made, Progress, alone
-from keycld.data.generate.recipes import ON_DEMAND, recipe_for, stored_recipe
+from keycld.data.generate.recipes import ON_DEMAND, deferred, recipe_for, stored_recipe
 from keycld.data.generate.sampled import Store
 from keycld.systems import AbstractSystem, get, names
 
@@ -102,26 +102,29 @@ def make_data(
         return job.run(workers, progress)
 
 
-def make_split(folder: Path, name: str) -> None:
-    """Make a split of `recipes.deferred(folder)`, with a line and a bar on stderr.
+def provide(file: Path) -> None:
+    """Make a file of a data set that `make_data` left for when it is needed, with a line and a bar on stderr.
 
-    What an interrupted call has left is used, and a second process waits for the first.
+    Other files, and those that are there, are left alone. What an interrupted call has left is used, and a second
+    process waits for the first.
 
     Raises:
         KeycldError: the folder may not be written, or its system is not registered; and as `make_data`.
     """
+    folder, name = file.parent, file.stem
+    if file.exists() or file.suffix != ".h5" or name not in deferred(folder):
+        return
     recipe = stored_recipe(folder)
     assert recipe is not None
-    file, system = folder / f"{name}.h5", recipe["system"]
     if not os.access(folder, os.W_OK):
         raise KeycldError(
             f"{file} is made when it is first needed, but {folder} may not be written: copy the folder to a place "
             "where you may write, and use the copy."
         )
-    if system not in names():
+    if recipe["system"] not in names():
         raise KeycldError(
-            f"{file} is made when it is first needed, but no system '{system}' is registered: import the module that "
-            "registers it."
+            f"{file} is made when it is first needed, but no system '{recipe['system']}' is registered: import the "
+            "module that registers it."
         )
     with alone(folder):
         if file.exists():
@@ -129,4 +132,4 @@ def make_split(folder: Path, name: str) -> None:
         [split] = [each for each in recipe["splits"] if each["name"] == name]
         count = split["seeds"][1] - split["seeds"][0]
         print(f"making {file}, which is needed now: {count} × {split['frames']} frames", file=sys.stderr, flush=True)
-        Job(get(system), folder, recipe, (name,), time.monotonic()).run(None, ProgressBar(name))
+        Job(get(recipe["system"]), folder, recipe, (name,), time.monotonic()).run(None, ProgressBar(name))
