@@ -37,7 +37,7 @@ FRAMES = {"train": 30, "test": 30, "test_long": 40}
 def folder(tmp_path_factory):
     """Twenty-six trajectories, stored as states."""
     folder = tmp_path_factory.mktemp("data") / "spring"
-    made = make_data(NAME, folder, runs=RUNS, frames=FRAMES, all=True, workers=1)
+    made = make_data(NAME, folder, runs=RUNS, frames=FRAMES, workers=1)
     assert made.fresh and made.renderer == "soft discs"
     return folder
 
@@ -204,9 +204,9 @@ def test_interrupted_work_is_resumed(folder, tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, all=True, workers=1, progress=stop)
+        make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1, progress=stop)
     assert "unfinished" in " ".join(check(tmp_path / "a"))
-    resumed = make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, all=True, workers=1)
+    resumed = make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1)
     assert 0 < resumed.frames < 24 * 30 + 2 * 40
     for name in ("train", "validation", "test", "test_long"):
         assert_equal(read(tmp_path / "a" / f"{name}.h5"), read(folder / f"{name}.h5"))

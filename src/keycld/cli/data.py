@@ -49,7 +49,8 @@ def make(
         validation: Recordings for validation.
         test: Recordings for the test.
         long: Recordings of the long test.
-        all: Make the long test, test_long.h5, now too; by default it is made when a verb first needs it.
+        all: Make all files now; by default test_long.h5 of pendulum, cartpole and acrobot is made when it is first
+            needed, for example by keycld eval.
         workers: Renderer processes, at most four; by default one a core.
     """
     from keycld.data import ProgressBar, make_data

@@ -12,7 +12,7 @@ from keycld.data.format.folder import PARTIAL
 from keycld.data.generate.job import Job, Made, Progress, alone
 from keycld.data.generate.recipes import ON_DEMAND, deferred, recipe_for, stored_recipe
 from keycld.data.generate.sampled import Store
-from keycld.systems import AbstractSystem, get, names
+from keycld.systems import AbstractSampledSystem, AbstractSystem, get, names
 
 
 class ProgressBar:
@@ -53,7 +53,7 @@ def make_data(
     are. Of two calls for one folder, the second waits. `/input` holds the inputs that act in the set, and none of the
     others.
 
-    `test_long.h5` is made when a `DataSet` is first asked for it, with the same contents.
+    `test_long.h5` of a system with motors is made when a `DataSet` is first asked for it, with the same contents.
 
     Args:
         system: a name of `keycld.systems.names()`, or a system.
@@ -69,7 +69,7 @@ def make_data(
             of the state.
         runs: numbers of runs by split, for small sets: `{"train": 2, "test": 1}`.
         frames: numbers of frames of a run by split.
-        all: make test_long now too.
+        all: make test_long of a system with motors now too.
         workers: renderer processes, at most four; by default one a core.
         progress: called after each part; `ProgressBar()` shows a bar.
 
@@ -93,7 +93,9 @@ def make_data(
         runs=runs,
         frames=frames,
     )
-    job = Job(system, folder, recipe, ON_DEMAND if all else (), time.monotonic())
+    # In sampled sets test_long is a hundredth of the data.
+    now = ON_DEMAND if all or isinstance(system, AbstractSampledSystem) else ()
+    job = Job(system, folder, recipe, now, time.monotonic())
     # Finished data may lie where nothing can be written, so they are recognised without the lock.
     if job.finished() and not (folder / PARTIAL).exists():
         return job.made(False, 0)

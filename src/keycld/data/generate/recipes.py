@@ -15,7 +15,7 @@ from keycld.data.generate.sampled import Store, sampled_parts, sampled_recipe
 from keycld.data.generate.sweeps import make_sweeps
 from keycld.systems import AbstractMechanism, AbstractSampledSystem, AbstractSystem, Conditions, Task
 
-# Splits that are made when they are first needed: half of the pictures of a set, and no training reads them.
+# Splits that are made when they are first needed: half of the pictures that MuJoCo renders, and no training reads them.
 ON_DEMAND = ("test_long",)
 # Frames of a part: some seconds of rendering on a CPU, the most that a kill loses.
 _PART_FRAMES = 500
