@@ -16,6 +16,8 @@ from keycld._lock import locked
 from keycld.cli.main import main
 from keycld.data import check, make_data, open_data, sha256
 from keycld.data.generate import make as make_module
+from keycld.evaluation import protocols_for
+from swing import Swing
 
 RUNS = {"train": 1, "validation": 1, "test": 1, "test_long": 2}
 # Of test_long, one run is a part.
@@ -51,7 +53,9 @@ def test_the_file_is_the_same(folder, at_once, capsys):
     assert "| `test_long.h5` | 2 × 251 | – |" in (folder / "README.md").read_text()
     before = {path.name: path.stat().st_mtime_ns for path in folder.glob("*.h5")}
     data = open_data(folder)
-    assert "test_long" in data.splits and data.count("test_long") == 2
+    assert "test_long" in data.splits
+    found = [protocol.name for protocol in protocols_for(data, Swing.right())]
+    assert found == ["test@4", "validation@4", "test_long@200", "test_long@251", "test_long@50-from-30"]
     said = capsys.readouterr().err
     assert f"making {folder}/test_long.h5, which is needed now: 2 × 251 frames" in said and "502/502" in said
     for path in at_once.glob("*.h5"):
