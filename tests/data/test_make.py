@@ -13,7 +13,7 @@ from sample import assert_equal
 
 from keycld import KeycldError
 from keycld.data import check, make_data, open_data, read
-from keycld.data.generate import make as make_module
+from keycld.data.generate import job as job_module
 from keycld.data.generate.parts import record
 from keycld.data.generate.protocols import splits
 from keycld.systems import get
@@ -21,7 +21,7 @@ from keycld.systems import get
 # Small, but of two parts: one of 500 frames and a rest.
 RUNS = {"train": 26, "validation": 2, "test": 2, "test_long": 2}
 FRAMES = {"train": 20, "validation": 20, "test": 20, "test_long": 30}
-TINY = {"runs": dict.fromkeys(RUNS, 1), "frames": dict.fromkeys(FRAMES, 4), "workers": 1}
+TINY = {"runs": dict.fromkeys(RUNS, 1), "frames": dict.fromkeys(FRAMES, 4), "all": True, "workers": 1}
 FILES = ("train", "validation", "test", "test_long", "sweeps")
 
 
@@ -30,7 +30,7 @@ def made(tmp_path_factory):
     """A small pendulum set, made without interruption."""
     folder = tmp_path_factory.mktemp("data") / "pendulum"
     seen = []
-    outcome = make_data("pendulum", folder, runs=RUNS, frames=FRAMES, progress=seen.append)
+    outcome = make_data("pendulum", folder, runs=RUNS, frames=FRAMES, all=True, progress=seen.append)
     return outcome, seen
 
 
@@ -39,7 +39,7 @@ def test_everything_is_there_and_sound(made):
     folder = outcome.folder
     assert check(folder) == []
     assert {path.name for path in folder.iterdir()} == {
-        *(f"{name}.h5" for name in FILES), "README.md", "statistics.json", "preview.gif",
+        *(f"{name}.h5" for name in FILES), "README.md", "statistics.json", "preview.gif", ".lock",
     }  # fmt: skip
     assert outcome.fresh and outcome.frames == seen[-1].done == seen[-1].total == (26 + 2 + 2) * 20 + 2 * 30 + 80
     train = read(folder / "train.h5")
@@ -144,7 +144,7 @@ def test_only_inputs_that_act_are_stored(tmp_path, control, acting):
 
 def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
     folder = tmp_path / "pendulum"
-    call = f"make_data('pendulum', {str(folder)!r}, runs={RUNS}, frames={FRAMES}, workers=1)"
+    call = f"make_data('pendulum', {str(folder)!r}, runs={RUNS}, frames={FRAMES}, all=True, workers=1)"
     process = subprocess.Popen([sys.executable, "-c", f"from keycld.data import make_data; {call}"])
     deadline = time.monotonic() + 60
     while len(list(folder.glob(".partial/*-*.h5"))) < 2 and time.monotonic() < deadline:
@@ -157,7 +157,7 @@ def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
     assert done and all(check(part) == [] for part in done)
     with pytest.raises(KeycldError, match="another number of runs"):
         make_data("pendulum", folder, runs=RUNS | {"train": 30}, frames=FRAMES)
-    resumed = make_data("pendulum", folder, runs=RUNS, frames=FRAMES)
+    resumed = make_data("pendulum", folder, runs=RUNS, frames=FRAMES, all=True)
     assert 0 < resumed.frames < made[0].frames
     for name in FILES:
         assert_equal(read(folder / f"{name}.h5"), read(made[0].folder / f"{name}.h5"))
@@ -166,19 +166,19 @@ def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
 
 def test_a_kill_while_joining_is_resumed_too(made, tmp_path, monkeypatch):
     folder = tmp_path / "pendulum"
-    join = make_module.join
+    join = job_module.join
 
     def dies(parts, path):
         if path.name == "test.h5":
             raise KeyboardInterrupt
         join(parts, path)
 
-    monkeypatch.setattr(make_module, "join", dies)
+    monkeypatch.setattr(job_module, "join", dies)
     with pytest.raises(KeyboardInterrupt):
         make_data("pendulum", folder, **TINY)
     with pytest.raises(KeycldError, match="unfinished"):
         open_data(folder)
-    monkeypatch.setattr(make_module, "join", join)
+    monkeypatch.setattr(job_module, "join", join)
     resumed = make_data("pendulum", folder, **TINY)
     assert resumed.fresh and resumed.frames == 0 and check(folder) == []
 
@@ -226,4 +226,5 @@ def test_without_gl_nothing_is_lost(tmp_path, monkeypatch):
     monkeypatch.delenv("MUJOCO_GL", raising=False)
     with pytest.raises(KeycldError, match="libegl1"):
         make_data("pendulum", tmp_path / "a", **TINY)
-    assert [path.name for path in (tmp_path / "a").rglob("*.*") if path.is_file()] == ["recipe.json"]
+    assert [path.name for path in (tmp_path / "a").rglob("*.json")] == ["recipe.json"]
+    assert not list((tmp_path / "a").rglob("*.h5"))

@@ -25,7 +25,7 @@ from keycld.data import (
 )
 from keycld.data.format import derived, writing
 from keycld.data.format.writing import join
-from keycld.data.generate.sampled import sampled_job, sampled_splits
+from keycld.data.generate.sampled import sampled_parts, sampled_recipe, sampled_splits
 from keycld.systems import AbstractSampledSystem, Recording, get, names
 
 NAME = "toy/mass_spring_colors"
@@ -84,7 +84,8 @@ def test_simulations_of_molecules_are_not_shared_between_files(size, tmp_path):
     splits = sampled_splits(system, size)
     simulations = [{number // WINDOWS[size] for number in range(*split.seeds)} for split in splits]
     assert not (simulations[0] & simulations[1] or simulations[0] & simulations[2])
-    _, parts = sampled_job(system, tmp_path, protocol=None, size=size, store=None, runs=None, frames=None)
+    recipe = sampled_recipe(system, protocol=None, size=size, store=None, runs=None, frames=None)
+    parts = sampled_parts(system, recipe, tmp_path)
     assert sum(part.frames for part in parts) == sum(len(split) * split.frames for split in splits)
 
 
@@ -101,6 +102,7 @@ def test_a_set_of_states_is_whole_and_sound(folder):
         np.testing.assert_array_equal(train.parameters[name], value)
     assert {path.name for path in folder.iterdir()} == {
         "train.h5", "validation.h5", "test.h5", "test_long.h5", "README.md", "statistics.json", "preview.gif",
+        ".lock",
     }  # fmt: skip
 
 

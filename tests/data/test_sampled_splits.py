@@ -3,7 +3,7 @@
 import pytest
 
 from keycld import KeycldError
-from keycld.data.generate.sampled import sampled_job, sampled_splits
+from keycld.data.generate.sampled import sampled_parts, sampled_recipe, sampled_splits
 from keycld.systems import AbstractSampledSystem, get, names
 
 
@@ -40,7 +40,8 @@ def test_one_simulation_cannot_be_two_files(size, related):
 @pytest.mark.parametrize("name", names(AbstractSampledSystem))
 def test_parts_of_the_work_share_no_simulation(name, runs, tmp_path):
     system = get(name)
-    _, parts = sampled_job(system, tmp_path, protocol=None, size="default", store=None, runs=runs, frames=None)
+    recipe = sampled_recipe(system, protocol=None, size="default", store=None, runs=runs, frames=None)
+    parts = sampled_parts(system, recipe, tmp_path)
     numbers = [part.task.arguments[1] for part in parts]
     assert sum(len(each) for each in numbers) == sum(len(split) for split in sampled_splits(system, runs=runs))
     held = [{number // system.related("default") for number in each} for each in numbers]

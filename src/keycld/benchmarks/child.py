@@ -102,9 +102,7 @@ def _set_aside(run: Path, old: str) -> None:
 
 def make_data(experiment: Experiment, place: Place) -> None:
     """Make the data if they are missing; wait while another process makes them."""
-    folder = place.data(experiment)
-    with locked(folder.with_name(f".{folder.name}.lock"), wait=True):
-        experiment.data.make(folder)
+    experiment.data.make(place.data(experiment))
 
 
 def train_model(experiment: Experiment, place: Place) -> None:

@@ -41,8 +41,15 @@ class DataRecipe:
         return self.label.replace(self.system, self.system + year, 1)
 
     def make(self, folder: Path) -> None:
-        """Make the data in `folder`; finished data stay as they are, interrupted work is resumed."""
-        make_data(self.system, folder, protocol=self.protocol, control=self.control, initial_state=self.initial_state)
+        """Make all data in `folder`; finished data stay as they are, interrupted work is resumed."""
+        make_data(
+            self.system,
+            folder,
+            protocol=self.protocol,
+            control=self.control,
+            initial_state=self.initial_state,
+            all=True,
+        )
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ def make(
     validation: int | None = None,
     test: int | None = None,
     long: int | None = None,
+    all: bool = False,
     workers: int | None = None,
 ) -> None:
     """Make the data set of a system: pictures or states to render, true states, card, statistics, preview.
@@ -48,9 +49,11 @@ def make(
         validation: Recordings for validation.
         test: Recordings for the test.
         long: Recordings of the long test.
+        all: Make all files now; by default test_long.h5 of pendulum, cartpole and acrobot is made when it is first
+            needed, for example by keycld eval.
         workers: Renderer processes, at most four; by default one a core.
     """
-    from keycld.data import make_data
+    from keycld.data import ProgressBar, make_data
 
     wanted = {"train": train, "validation": validation, "test": test, "test_long": long}
     made = make_data(
@@ -64,13 +67,16 @@ def make(
         size=size,
         store=store,
         runs={name: number for name, number in wanted.items() if number is not None},
+        all=all,
         workers=workers,
-        progress=_Shown(),
+        progress=ProgressBar(),
     )
     if not made.fresh:
         print(f"{made.folder} is already there: nothing to do")
         return
     print(f"made {made.folder} in {made.seconds:.0f} s, rendered by {made.renderer}")
+    if made.later:
+        print(f"later, when first needed: {', '.join(f'{name}.h5' for name in made.later)}")
 
 
 def check(data: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DATA")], /) -> None:
@@ -151,17 +157,3 @@ def import_(
         return
     folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
     print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")
-
-
-class _Shown:
-    """A `progress` callback that shows the bar of the training."""
-
-    def __init__(self) -> None:
-        self._bar = None
-
-    def __call__(self, progress) -> None:
-        from keycld.training import Bar
-
-        if self._bar is None:
-            self._bar = Bar("data", progress.total)
-        self._bar.show(progress.done, progress.fresh / max(progress.seconds, 1e-9), "")

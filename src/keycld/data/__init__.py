@@ -14,8 +14,9 @@ from keycld.data.format.reading import open_file as open_file
 from keycld.data.format.reading import read as read
 from keycld.data.format.trajectories import Trajectories as Trajectories
 from keycld.data.format.writing import write as write
-from keycld.data.generate.make import Made as Made
-from keycld.data.generate.make import Progress as Progress
+from keycld.data.generate.job import Made as Made
+from keycld.data.generate.job import Progress as Progress
+from keycld.data.generate.make import ProgressBar as ProgressBar
 from keycld.data.generate.make import make_data as make_data
 from keycld.data.generate.protocols import PROTOCOLS as PROTOCOLS
 from keycld.data.generate.sweeps import Sweep as Sweep
@@ -40,6 +41,7 @@ __all__ = [
     "RenderedLater",
     "Made",
     "Progress",
+    "ProgressBar",
     "RandomFrames",
     "Resident",
     "FrameGroups",

@@ -11,6 +11,8 @@ from keycld.data.format.folder import CONSTRAINTS, read_statistics, unfinished
 from keycld.data.format.reading import blocks, read, recordings
 from keycld.data.format.rules import EVERY
 from keycld.data.format.trajectories import Trajectories
+from keycld.data.generate.make import provide
+from keycld.data.generate.recipes import deferred
 from keycld.data.generate.sweeps import Sweep, sweeps_of
 from keycld.data.sample.resident import Resident
 from keycld.data.sample.training_data import TrainingData
@@ -34,18 +36,20 @@ class DataSet:
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Names of the files, without .h5."""
-        return tuple(sorted(path.stem for path in self.folder.glob("*.h5")))
+        """Names of the files, without .h5, and of those that are made when they are first needed."""
+        return tuple(sorted([*(path.stem for path in self.folder.glob("*.h5")), *deferred(self.folder)]))
 
     def path(self, name: str) -> Path:
-        """Return the file of a split.
+        """Return the file of a split; it is made now if `make_data` left it for when it is needed.
 
         Raises:
-            KeycldError: the folder lacks it.
+            KeycldError: the folder lacks it; or the folder may not be written, and as `make_data`.
         """
-        if name not in self.splits:
+        path = self.folder / f"{name}.h5"
+        provide(path)
+        if not path.exists():
             raise KeycldError(f"{self.folder} has no {name}.h5, only {', '.join(self.splits)}: make or add it.")
-        return self.folder / f"{name}.h5"
+        return path
 
     def count(self, name: str) -> int:
         """Count the trajectories of a split.
@@ -183,7 +187,7 @@ class DataSet:
     def _first(self) -> Trajectories:
         """One trajectory, without its pictures."""
         for name in ("train", "validation", "test", *self.splits):
-            if name in self.splits:
+            if (self.folder / f"{name}.h5").exists():
                 return read(self.path(name), images=False, rows=slice(0, 1))
         raise KeycldError(f"{self.folder} holds no .h5 file.")
 

@@ -9,6 +9,7 @@ from jaxtyping import UInt8
 from keycld._errors import KeycldError
 from keycld._files import replacing
 from keycld.data import open_file, read, with_pictures
+from keycld.data.generate.make import provide
 from keycld.evaluation.predicting import Progress, batch_size, predict, refuse_too_few
 from keycld.evaluation.reading import cut
 from keycld.models.base import AbstractModel, Reversible
@@ -35,7 +36,7 @@ def predict_file(
 
     Args:
         model: any model.
-        data_file: in the format of a data set.
+        data_file: in the format of a data set; made now if it is a `test_long.h5` that keycld left for later.
         out: replaced if it exists.
         given: frames to give; as many as the model needs by default.
         first: number of the first given frame. The motion before it is predicted too, by a `Reversible` model.
@@ -47,6 +48,7 @@ def predict_file(
     """
     given = model.context if given is None else given
     refuse_too_few(model, given)
+    provide(Path(data_file))
     about = read(data_file, images=False)
     count, length, dt = len(about), about.frames, about.dt
     if Path(out).resolve() == Path(data_file).resolve():

@@ -13,11 +13,11 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from keycld._progress import Bar
 from keycld.data import Resident, TrainingData
 from keycld.models.base import AbstractModel
 from keycld.stages import Stage
 from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
-from keycld.training.progress import Bar
 from keycld.training.run_folder import Metrics
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker

@@ -13,6 +13,8 @@ _MEANING = {
     "sweeps": "pictures along paths and a grid of the configuration space, for energy figures",
 }
 
+_LATER = "keycld makes it when it is first needed"
+
 
 def card(train: Trajectories, figures: dict[str, Any]) -> str:
     """Write the card, in Markdown.
@@ -26,7 +28,7 @@ def card(train: Trajectories, figures: dict[str, Any]) -> str:
     parts = [f"# {about['system']}", "![Four recordings side by side](preview.gif)"]
     if system is not None and type(system).__doc__:
         parts.append("\n".join(line.strip() for line in str(type(system).__doc__).strip().splitlines()))
-    parts += ["## Files", _files(figures["splits"])]
+    parts += ["## Files", _files(figures)]
     parts += ["## Fields", _fields(train)]
     parts += ["## How it was made", _origin(about, figures)]
     if "baselines" in figures:
@@ -74,12 +76,16 @@ def _baselines(baselines: dict[str, Any]) -> str:
     return "\n".join(rows)
 
 
-def _files(splits: dict[str, Any]) -> str:
+def _files(figures: dict[str, Any]) -> str:
     rows = ["| file | recordings × frames | MB | what for |", "|---|---|---|---|"]
-    for name, split in splits.items():
+    for name, split in figures["splits"].items():
         size = f"{split['bytes'] / 1e6:.1f}"
         meaning = _MEANING.get(name, "")
         rows.append(f"| `{name}.h5` | {split['trajectories']} × {split['frames']} | {size} | {meaning} |")
+    for split in figures.get("recipe", {}).get("splits", ()):
+        if split["name"] not in figures["splits"]:
+            count, meaning = split["seeds"][1] - split["seeds"][0], _MEANING[split["name"]]
+            rows.append(f"| `{split['name']}.h5` | {count} × {split['frames']} | – | {meaning}; {_LATER} |")
     return "\n".join(rows)
 
 

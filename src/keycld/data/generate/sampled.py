@@ -97,17 +97,16 @@ def _border(system: AbstractSampledSystem, size: str, train: int) -> int:
     return max(1, (train - validation_count(train)) // related) * related
 
 
-def sampled_job(
+def sampled_recipe(
     system: AbstractSampledSystem,
-    partial: Path,
     *,
     protocol: str | None,
     size: str,
     store: Store | None,
     runs: Mapping[str, int] | None,
     frames: Mapping[str, int] | None,
-) -> tuple[dict[str, Any], list[Part]]:
-    """Return what decides the data set's contents, and the parts of the work.
+) -> dict[str, Any]:
+    """Return what decides the data set's contents.
 
     Raises:
         KeycldError: an unknown protocol, size or split, a bad number, or states where only MuJoCo can render them.
@@ -118,36 +117,42 @@ def sampled_job(
     rendered = isinstance(system, AbstractRenderedSystem)
     if store == "states" and not rendered:
         raise KeycldError(f"{system.name} is rendered by MuJoCo, so its pictures are stored: leave out --store states.")
-    images = store == "images" or not rendered
-    plan = sampled_splits(system, size, runs=runs, frames=frames)
-    recipe = {
+    return {
         "system": system.name,
         "protocol": protocol,
         "size": size,
-        "store": "images" if images else "states",
-        "splits": [{**asdict(split), "conditions": {}} for split in plan],
+        "store": "images" if store == "images" or not rendered else "states",
+        "splits": [
+            {**asdict(split), "conditions": {}} for split in sampled_splits(system, size, runs=runs, frames=frames)
+        ],
     }
+
+
+def sampled_parts(system: AbstractSampledSystem, recipe: Mapping[str, Any], partial: Path) -> list[Part]:
+    """Return the work of a recipe, whose files go to the folder `partial`, split by split."""
+    size, images = recipe["size"], recipe["store"] == "images"
     attributes = {
         "system": system.name,
         "dt": system.dt,
         "state_names": system.state_names,
         "units": system.units,
         "generator": f"keycld {__version__}",
-        "protocol": protocol,
+        "protocol": recipe["protocol"],
         "size": size,
     }
     parts = []
-    for split in plan:
+    for split in recipe["splits"]:
+        name, (begin, end), frames = split["name"], split["seeds"], split["frames"]
         related = system.related(size)
-        group = math.ceil(system.group(split.frames, size, images) / related) * related
+        group = math.ceil(system.group(frames, size, images) / related) * related
         # Groups begin at multiples and hold whole simulations, which are then computed once.
-        edges = [split.seeds[0], *range((split.seeds[0] // group + 1) * group, split.seeds[1], group), split.seeds[1]]
+        edges = [begin, *range((begin // group + 1) * group, end, group), end]
         for first, last in zip(edges, edges[1:], strict=False):
-            path = partial / f"{split.name}-{first:07d}.h5"
-            marked = attributes | {"seed": split.seeds[0]}
-            task = Task(make_sampled_part, (system, range(first, last), split.frames, images, marked, path))
-            parts.append(Part(split.name, (last - first) * split.frames, path, task))
-    return recipe, parts
+            path = partial / f"{name}-{first:07d}.h5"
+            marked = attributes | {"seed": begin}
+            task = Task(make_sampled_part, (system, range(first, last), frames, images, marked, path))
+            parts.append(Part(name, (last - first) * frames, path, task))
+    return parts
 
 
 def make_sampled_part(
