@@ -18,7 +18,7 @@ from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
-_MEASURED = 1000
+_MEASURED = 200
 # Compiled once for all stages.
 _fit = eqx.filter_jit(fit_motions)
 
