@@ -121,7 +121,7 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
     loaded, now = load_run(old)
     assert_same(model, loaded)
     assert now.settings["vision"] == settings["vision"] and now.settings["joint"]["rate"] == 2e-3
-    assert now.settings["joint"]["steps"] == 1500 and now.scene["dt"] == 0.05
+    assert now.settings["joint"]["steps"] == 2000 and now.scene["dt"] == 0.05
 
 
 def test_a_configuration_of_schema_2_is_migrated(whole):
@@ -138,10 +138,10 @@ def test_a_configuration_of_schema_2_is_migrated(whole):
     (old / "config.json").write_text(json.dumps(config))
     settings = read_config(old).settings
     assert settings["potential_width"] == settings["input_width"] == 32 and "long" not in settings
-    assert settings["joint"] == CONFIG.changed({"joint.steps": 1500}).settings()["joint"] | {
+    assert settings["joint"] == CONFIG.changed({"joint.steps": 2000}).settings()["joint"] | {
         "scale": 0.02,
         "horizons": [8, 16, 32, 50, 50],
-        "fit_every": 300,
+        "fit_every": 400,
     }
 
 

@@ -22,7 +22,7 @@ class ControlConfig(FastConfig):
     Planning needs more exact forces than prediction does.
     """
 
-    joint: JointStage = JointStage(steps=4500, fit_every=900)
+    joint: JointStage = JointStage(steps=6000, fit_every=1000)
     """Third stage."""
     last_fit: int = 225
     """Trajectories of the last least-squares fit."""

@@ -63,11 +63,11 @@ class DynamicsStage:
 class JointStage:
     """All parts together: frames rendered from roll-outs from any two consecutive frames."""
 
-    steps: int = 1500
+    steps: int = 2000
     """Optimiser steps."""
     horizons: tuple[int, ...] = (8, 16, 32, 50, 50)
     """Frames that a clip spans; each value holds for an equal part of the steps."""
-    fit_every: int = 300
+    fit_every: int = 400
     """Steps between least-squares fits of the dynamics."""
     batch: int = 2
     """Clips a step."""
@@ -105,7 +105,7 @@ class FastConfig(KeyCLDConfig):
 
     1. `vision`: single frames.
     2. `dynamics`: roll-outs on cached keypoints.
-    3. `joint`: all parts together, over growing horizons; at its begin and every 300 steps a least-squares fit of the
+    3. `joint`: all parts together, over growing horizons; at its begin and every 400 steps a least-squares fit of the
        dynamics to whole trajectories.
     4. `prior`: no steps; fits once more and measures the velocity prior. Then the validation score.
     """
