@@ -126,7 +126,7 @@ def test_stored_pictures_are_the_rendered_ones(folder, tmp_path):
         make_data(NAME, tmp_path / "a", runs=RUNS, frames=FRAMES, workers=1)
 
 
-@pytest.mark.parametrize("sampler", [FrameGroups(4, 2, (6,), 10), WholeTrajectories(30)])
+@pytest.mark.parametrize("sampler", [FrameGroups(4, 2, (6,), 10.0), WholeTrajectories(30)])
 def test_clips_are_rendered_inside_the_step(folder, sampler):
     """The same clips, bit for bit, from states as from pictures, in a compiled step."""
     states = open_data(folder).split("train", images=False)

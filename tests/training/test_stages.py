@@ -27,7 +27,7 @@ def numbers(clip):
 
 
 def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
-    sampler = FrameGroups(batch=256, groups=2, windows=(6,), steps=10)
+    sampler = FrameGroups(batch=256, groups=2, windows=(6,), steps=10.0)
     clip = sampler(data, jax.random.key(0), jnp.array(3))
     index = np.asarray(clip.index)
     assert clip.span == 6
@@ -41,7 +41,7 @@ def test_groups_are_of_consecutive_frames_anywhere_in_the_window(data):
 
 
 def test_a_share_of_the_clips_begins_where_a_trajectory_does(data):
-    clip = FrameGroups(batch=1000, groups=2, windows=(6,), steps=10, first_frames=0.5)(
+    clip = FrameGroups(batch=1000, groups=2, windows=(6,), steps=10.0, first_frames=0.5)(
         data, jax.random.key(0), jnp.array(3)
     )
     first = numbers(clip)[:, 0] % 10 == 0
@@ -52,7 +52,7 @@ def test_a_share_of_the_clips_begins_where_a_trajectory_does(data):
 
 
 def test_the_window_grows_with_the_steps(data):
-    sampler = FrameGroups(batch=64, groups=2, windows=(4, 7, 10), steps=9)
+    sampler = FrameGroups(batch=64, groups=2, windows=(4, 7, 10), steps=9.0)
     last = [int(sampler(data, jax.random.key(0), jnp.array(k)).index.max()) for k in range(9)]
     assert last == [3, 3, 3, 6, 6, 6, 9, 9, 9]
     late = sampler(data, jax.random.key(0), jnp.array(20))
@@ -63,7 +63,7 @@ def test_the_window_grows_with_the_steps(data):
 def test_cached_keypoints_take_the_place_of_pictures(data):
     tracks = jnp.arange(40.0).reshape(4, 10, 1) * jnp.ones(2)[None, None, :]
     cached = eqx.tree_at(lambda d: d.cached, data, tracks, is_leaf=lambda x: x is None)
-    clip = FrameGroups(8, 2, (6,), 10, cached=True)(cached, jax.random.key(0), jnp.array(0))
+    clip = FrameGroups(8, 2, (6,), 10.0, cached=True)(cached, jax.random.key(0), jnp.array(0))
     assert clip.frames is None
     offset = clip.cached[:, :1, 0] - clip.index[:, :1]
     np.testing.assert_array_equal(clip.cached[..., 0] - offset, clip.index)
@@ -84,9 +84,9 @@ def test_a_step_number_decides_its_clips(data):
 
 def test_too_short_trajectories_are_named(data):
     with pytest.raises(KeycldError, match="10 frames but this recipe samples clips of 12"):
-        FrameGroups(2, 3, (6, 12), 10).check(data)
+        FrameGroups(2, 3, (6, 12), 10.0).check(data)
     with pytest.raises(KeycldError, match="no room"):
-        FrameGroups(2, 4, (6, 12), 10)
+        FrameGroups(2, 4, (6, 12), 10.0)
 
 
 class Model(eqx.Module):
@@ -172,6 +172,34 @@ def test_several_steps_a_dispatch_are_the_same_steps(data):
             progress, _ = run((rest, data), progress)
         ends.append(progress.parameters.moving)
     np.testing.assert_allclose(ends[0], ends[1], rtol=1e-6)
+
+
+class Scaled(AbstractLoss):
+    weight: float = 1.0
+
+    def __call__(self, model, clips, *, key, step):
+        loss = self.weight * jnp.sum((model.moving - 3.0) ** 2)
+        return loss, {"scaled": loss}
+
+
+def test_stages_that_differ_in_numbers_share_a_program(data):
+    """Steps, rates and weights are arguments: nothing new is compiled, and they act."""
+    model = Model(jnp.zeros(2), jnp.ones(3))
+    events, ends = [], []
+    jax.monitoring.register_event_listener(lambda name, **_: events.append(name))
+    for weight, rate, steps in ((1.0, 0.1, 20), (2.0, 0.3, 30)):
+        group = Group("moving", lambda m: m.moving, rate, optax.sgd)
+        this = stage(steps=steps, loss=Scaled(weight), groups=(group,), schedule=warmup_cosine)
+        progress, rest = initial_progress(this, model)
+        events.clear()
+        progress, _ = make_step(this, 0, 0, 4)((rest, data), progress)
+        ends.append((this, np.asarray(progress.parameters.moving)))
+    assert "/jax/compilation_cache/cache_hits" in events and "/jax/compilation_cache/cache_misses" not in events
+    for this, end in ends:
+        theta, schedule = 0.0, this.schedule(this.groups[0].rate, this.steps)
+        for step in range(4):
+            theta -= float(schedule(step)) * this.loss.weight * 2 * (theta - 3)
+        np.testing.assert_allclose(end, theta, rtol=1e-4)
 
 
 def test_forgetful_adam_is_sign_descent(data):

@@ -103,10 +103,27 @@ class Stage:
         """Return a pytree with the structure of the model: True at each leaf that this stage trains."""
         return jax.tree.unflatten(jax.tree.structure(model), [name is not None for name in self.labels(model)])
 
-    def transformation(self, model: eqx.Module) -> optax.GradientTransformation:
-        """Return the optimiser of this stage for the trainable part of a model."""
+    def rates(self) -> dict[str, jax.Array]:
+        """Return the learning rate of each trained group at each step.
+
+        The last one is repeated up to a multiple of 4096 steps, so that few shapes occur, and compiled programs serve
+        stages of many lengths.
+        """
+        step = jnp.minimum(jnp.arange(-(-max(self.steps, 1) // 4096) * 4096), max(self.steps - 1, 0))
+        return {
+            group.name: jnp.broadcast_to(jax.vmap(self.schedule(group.rate, self.steps))(step), step.shape)
+            for group in self.groups
+            if group.rate > 0
+        }
+
+    def transformation(self, model: eqx.Module, rates: Mapping[str, jax.Array | float]) -> optax.GradientTransformation:
+        """Return the optimiser of this stage for the trainable part of a model, with the learning rates of one step."""
+
+        def constant(rate: jax.Array | float) -> optax.Schedule:
+            return lambda count: rate
+
         rules: dict[Hashable, optax.GradientTransformation] = {
-            group.name: (group.optimiser or self.optimiser)(self.schedule(group.rate, self.steps))
+            group.name: (group.optimiser or self.optimiser)(constant(rates[group.name]))
             for group in self.groups
             if group.rate > 0
         }
@@ -114,6 +131,11 @@ class Stage:
         if self.clip is None:
             return combined
         return optax.chain(optax.clip_by_global_norm(self.clip), combined)
+
+    @property
+    def numbers(self) -> Any:
+        """The sampler and the loss with their float attributes as arrays, which a program takes as arguments."""
+        return jax.tree.map(lambda leaf: jnp.asarray(leaf) if type(leaf) is float else leaf, (self.sampler, self.loss))
 
 
 def _is_parameter(leaf: Any) -> bool:

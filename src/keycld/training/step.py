@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from keycld._errors import KeycldError
 from keycld.data import Clip, Resident
-from keycld.stages import AbstractStatefulLoss, Stage
+from keycld.stages import AbstractLoss, AbstractStatefulLoss, Stage
 
 
 class Progress(NamedTuple):
@@ -37,7 +37,7 @@ class Progress(NamedTuple):
 def initial_progress(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
     """Return the progress at the stage's first step, and the part of the model that the stage does not train."""
     parameters, rest = _parted(stage, model)
-    state = stage.transformation(model).init(parameters)
+    state = stage.transformation(model, stage.rates()).init(parameters)
     # Copies too: a step donates its buffers, and the same initial state may serve several candidates.
     memory = jax.tree.map(jnp.array, stage.loss.initial()) if isinstance(stage.loss, AbstractStatefulLoss) else ()
     return Progress(parameters, state, memory, jnp.array(0), jnp.array(True)), rest
@@ -70,17 +70,19 @@ def make_step(stage: Stage, number: int, seed: int, steps: int) -> Callable:
         `run((rest, data), progress) -> (progress, terms)`. Terms are stacked over the steps. The buffers of the given
         progress are donated.
     """
-    # Arguments, not constants, of the program: another seed or an equal stage does not compile again.
-    keys = step_keys(seed, number)
+    # Arguments, not constants, of the program: a stage that differs from another in numbers only, such as its seed, its
+    # steps, rates or weights, does not compile again.
+    chosen = (step_keys(seed, number), stage.rates(), stage.numbers)
 
-    def one(progress: Progress, keys: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
-        clip_key, loss_key = keys
-        clips = stage.sampler(data, clip_key, progress.step)
+    def one(progress: Progress, chosen: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
+        (clip_key, loss_key), rates, (sampler, objective) = chosen
+        clips = sampler(data, clip_key, progress.step)
         key = jax.random.fold_in(loss_key, progress.step)
-        (loss, (terms, memory)), gradient = _gradient(stage, rest, clips, key, progress)
+        (loss, (terms, memory)), gradient = _gradient(objective, rest, clips, key, progress)
         # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
         healthy = progress.healthy & jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
-        transformation = stage.transformation(eqx.combine(progress.parameters, rest))
+        now = {name: rate[progress.step] for name, rate in rates.items()}
+        transformation = stage.transformation(eqx.combine(progress.parameters, rest), now)
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
@@ -94,7 +96,7 @@ def make_step(stage: Stage, number: int, seed: int, steps: int) -> Callable:
             return progress, jax.tree.map(lambda term: term[None], terms)
         return jax.lax.scan(lambda carry, _: one(carry, *fixed), progress, length=steps)
 
-    return lambda fixed, progress: run((keys, *fixed), progress)
+    return lambda fixed, progress: run((chosen, *fixed), progress)
 
 
 def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
@@ -111,7 +113,7 @@ def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any
     clip_key, loss_key = step_keys(seed, number)
     clips = stage.sampler(data, clip_key, progress.step)
     key = jax.random.fold_in(loss_key, progress.step)
-    compiled = eqx.filter_jit(functools.partial(_gradient, stage))
+    compiled = eqx.filter_jit(functools.partial(_gradient, stage.loss))
     (_, (terms, _)), gradient = compiled(rest, clips, key, progress)
     bad_terms = [name for name, value in terms.items() if not bool(jnp.isfinite(value))]
     leaves = jax.tree_util.tree_leaves_with_path(gradient)
@@ -133,15 +135,17 @@ def step_keys(seed: int, stage: int) -> tuple[Array, Array]:
     return clips, loss
 
 
-def _gradient(stage: Stage, rest: Any, clips: Clip, key: Array, progress: Progress) -> tuple[Any, Any]:
+def _gradient(
+    loss: AbstractLoss | AbstractStatefulLoss, rest: Any, clips: Clip, key: Array, progress: Progress
+) -> tuple[Any, Any]:
     """Return ((loss, (terms, next state of the loss)), gradient)."""
 
     def objective(parameters: Any) -> tuple[Array, tuple[dict[str, Array], Any]]:
         model = eqx.combine(parameters, rest)
-        if isinstance(stage.loss, AbstractStatefulLoss):
-            loss, terms, memory = stage.loss(model, clips, key=key, step=progress.step, memory=progress.memory)
-            return loss, (terms, memory)
-        loss, terms = stage.loss(model, clips, key=key, step=progress.step)
-        return loss, (terms, ())
+        if isinstance(loss, AbstractStatefulLoss):
+            value, terms, memory = loss(model, clips, key=key, step=progress.step, memory=progress.memory)
+            return value, (terms, memory)
+        value, terms = loss(model, clips, key=key, step=progress.step)
+        return value, (terms, ())
 
     return jax.value_and_grad(objective, has_aux=True)(progress.parameters)

@@ -321,7 +321,7 @@ def test_the_weights_of_constraints_grow_with_the_steps(item, weights, getkey):
     # Keypoints that differ between pictures; otherwise the term would be smaller than rounding errors.
     model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 100 * kernel)
     clip = clips(getkey(), 3, [0], 1)
-    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100))
+    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100.0))
     for step, weight in zip((0, 25, 100, 200), weights, strict=True):
         total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
         rest = total - terms["reconstruction"] - terms["heat_map"]
@@ -333,7 +333,7 @@ def test_constraints_between_keypoints_move_the_joint_first(getkey):
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "end"))
     model = fast(Constraints(("elbow", "end"), items), width=8).build(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, [0], 1)
-    loss = VisionLoss(joints=0.85, steps=100)
+    loss = VisionLoss(joints=0.85, steps=100.0)
 
     @eqx.filter_jit
     @eqx.filter_grad

@@ -70,7 +70,7 @@ class FrameGroups(AbstractSampler):
         batch: clips a step.
         groups: groups a clip, sampled without overlap, in order.
         windows: frames of the window; each value holds for an equal part of `steps`.
-        steps: of the stage.
+        steps: of the stage; a float, because the compiled program does not depend on floats.
         cached: give the values that the stage has cached instead of pictures.
         given: frames of a group; 2 determine position and velocity.
         first_frames: share of the clips whose window and first group are the first frames of a trajectory. Predictions
@@ -80,10 +80,10 @@ class FrameGroups(AbstractSampler):
     batch: int = eqx.field(static=True)
     groups: int = eqx.field(static=True)
     windows: tuple[int, ...] = eqx.field(static=True)
-    steps: int = eqx.field(static=True)
+    steps: float
     cached: bool = eqx.field(static=True, default=False)
     given: int = eqx.field(static=True, default=2)
-    first_frames: float = eqx.field(static=True, default=0.0)
+    first_frames: float = 0.0
 
     def __check_init__(self):
         """Check that every window has room for the groups."""
@@ -102,7 +102,7 @@ class FrameGroups(AbstractSampler):
         """Sample clips uniformly over all trajectories and places of the window."""
         keys = jax.random.split(jax.random.fold_in(key, step), 5)
         count, length = data.image.shape[:2]
-        phase = jnp.clip(step * len(self.windows) // self.steps, 0, len(self.windows) - 1)
+        phase = jnp.clip((step * len(self.windows) / self.steps).astype(int), 0, len(self.windows) - 1)
         window = jnp.array(self.windows)[phase]
         trajectory = jax.random.randint(keys[0], (self.batch,), 0, count)
         begins = jax.random.bernoulli(keys[4], self.first_frames, (self.batch,))

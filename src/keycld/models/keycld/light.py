@@ -149,7 +149,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             constraint=first.constraint,
             coupling=first.coupling,
             joints=first.joints,
-            steps=first.steps,
+            steps=float(first.steps),
             sigma=first.sigma,
         ),
         groups=(
@@ -168,7 +168,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> FrameGroups:
         within = tuple(min(horizon, scene.frames) for horizon in horizons)
         groups = min(config.groups, max(1, min(within) // config.given))
-        return FrameGroups(batch, groups, within, steps, cached, config.given, config.first_frames)
+        return FrameGroups(batch, groups, within, float(steps), cached, config.given, config.first_frames)
 
     dynamics = Stage(
         name="dynamics",

@@ -37,7 +37,7 @@ class VisionLoss(AbstractLoss):
         joints: while t is less, constraints on several keypoints move only joints, not ends (`_ends`). A joint has one
             correct position. Before it is found, the end could make the distance constant as well, by errors of up to
             a pixel to either side of its part, and no dynamics moves like that.
-        steps: steps of the stage.
+        steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
 
@@ -45,7 +45,7 @@ class VisionLoss(AbstractLoss):
     constraint: tuple[float, float] = (100.0, 1000.0)
     coupling: float = 10.0
     joints: float = 0.85
-    steps: int = 1000
+    steps: float = 1000.0
     sigma: float = 0.05
 
     def __call__(
