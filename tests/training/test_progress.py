@@ -4,7 +4,8 @@ import io
 
 import pytest
 
-from keycld.training import Bar, progress
+from keycld import _progress as progress
+from keycld.training import Bar
 
 
 @pytest.fixture

@@ -45,7 +45,7 @@ def spatial_softmax(
 
 
 def gaussian_maps(
-    keypoints: Float[Array, "K 2"], grid: Float[Array, "rows columns 2"], sigma: float
+    keypoints: Float[Array, "K 2"], grid: Float[Array, "rows columns 2"], sigma: float | Float[Array, ""]
 ) -> Float[Array, "rows columns K"]:
     """Return one Gaussian map for each keypoint, exp(−‖p − x‖² / 2σ²) at each cell p, eq. (9) of the paper.
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.data import Clip
-from keycld.mechanics import State
+from keycld.mechanics import Scalar, State
 from keycld.models.keycld.model import AbstractKeypointModel
 from keycld.stages import AbstractLoss, Terms
 from keycld.vision import Observation, gaussian_maps, image_grid
@@ -280,13 +280,13 @@ def squared_error(rendered: Float[Array, "B H W 3"], frames: Float[Array, "B H W
     return jnp.mean(jnp.sum((rendered - frames) ** 2, axis=(1, 2, 3)))
 
 
-def _distance(rolled: Array, observed: Array, scale: float) -> Array:
+def _distance(rolled: Array, observed: Array, scale: Scalar) -> Array:
     """Return the mean pseudo-Huber distance of roll-outs `[batch, groups, F, 2K]` from keypoints `[batch, F, 2K]`."""
     error = rolled - observed[:, None]
     return jnp.mean(jnp.sum(2 * scale**2 * (jnp.sqrt(1 + (error / scale) ** 2) - 1), axis=-1))
 
 
-def _divergence(observed: Observation, size: tuple[int, int], sigma: float) -> Array:
+def _divergence(observed: Observation, size: tuple[int, int], sigma: Scalar) -> Array:
     """Return the divergence L_h of heat maps from Gaussians at their own keypoints; 0 without heat maps."""
     maps = observed.heat_maps
     if maps is None:

@@ -7,7 +7,7 @@ from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from keycld._errors import KeycldError
 from keycld.data import Clip
-from keycld.mechanics import Euler, MechanicalDynamics, Motion, State
+from keycld.mechanics import Euler, MechanicalDynamics, Motion, Scalar, State
 from keycld.models.keycld.initial_state import allowed_velocity
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import AbstractKeypointModel
@@ -124,7 +124,7 @@ def turned_back(x: Float[Array, "side side c"], turn: Bool[Array, "3"]) -> Float
     return jnp.where(turn[0], x.transpose(1, 0, 2), x)
 
 
-def _cross_entropy(observed: Observation, size: tuple[int, int], sigma: float) -> Array:
+def _cross_entropy(observed: Observation, size: tuple[int, int], sigma: Scalar) -> Array:
     if observed.heat_maps is None:
         return jnp.zeros(())
     maps = observed.heat_maps / jnp.max(observed.heat_maps, axis=(-2, -1), keepdims=True)
