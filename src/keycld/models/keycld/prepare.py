@@ -19,6 +19,8 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
+# About how many recordings a fit observes.
+_FITTED = 150
 # Compiled once for all stages.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -73,7 +75,7 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     return _sharing(model, data.cached), data
 
 
-def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
+def fit_dynamics(model: Any, data: Resident, *, trajectories: int = _FITTED) -> tuple[Any, Resident]:
     """Fit masses, V and g to the keypoints of some recordings, by least squares through the dynamics.
 
     Gradient steps on a few clips leave errors of several per cent in these numbers, about fifty, and such errors limit
@@ -91,20 +93,15 @@ def fit_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tupl
     return _fitted(_sharing(model, x), x, u, data.dt)[0], data
 
 
-def grow_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
+def grow_dynamics(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Fit the dynamics as `fit_dynamics` does; where an affine V cannot explain the keypoints, add a perceptron to it.
 
     The criterion is the error of the fitted paths: with the right terms it is the observation error, a tenth of a
     pixel; without a spring that acts it is several pixels. The perceptron stays if it lowers this error by a quarter.
-
-    Args:
-        model: the model whose dynamics are fitted.
-        data: the training data.
-        trajectories: about how many of the recordings are observed.
     """
     if not isinstance(model, KeyCLD):
         return model, data
-    x, u = _observed(model, data, trajectories)
+    x, u = _observed(model, data, _FITTED)
     model, error = _fitted(_sharing(model, x), x, u, data.dt)
     potential, pixel = model.law.potential, 2 / max(data.shape[2:4])
     if not isinstance(potential, AffineMLPPotential) or potential.perceptron is not None or error < 0.3 * pixel:
@@ -120,7 +117,7 @@ def grow_dynamics(model: Any, data: Resident, *, trajectories: int = 150) -> tup
     return grown if kept else model, data
 
 
-def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = 150) -> tuple[Any, Resident]:
+def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = _FITTED) -> tuple[Any, Resident]:
     """Measure the velocity prior (`VelocityPrior`) on the observed keypoints of training recordings.
 
     τ is the time after rest whose velocities τ a predict the recordings best. σ_s² / (σ_s² + σ_b²) is the best step
