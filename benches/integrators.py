@@ -14,7 +14,6 @@ import jax.numpy as jnp
 from keycld.mechanics import (
     RK4,
     AffineMLPInputMatrix,
-    AffineMLPPotential,
     ConstrainedLagrangian,
     Constraints,
     FixedDistance,
@@ -23,6 +22,7 @@ from keycld.mechanics import (
     OnLine,
     PointMasses,
     Rattle,
+    SumPotential,
     State,
 )
 
@@ -46,7 +46,7 @@ def main():
     keys = jax.random.split(jax.random.key(0), 4)
     law = ConstrainedLagrangian(
         PointMasses.ones(2),
-        AffineMLPPotential(4, key=keys[0]),
+        SumPotential(jnp.zeros(4), {}),
         AffineMLPInputMatrix(4, 2, key=keys[1]),
         Constraints(("cart", "tip"), (OnLine("cart"), FixedDistance("cart", "tip"))),
     )

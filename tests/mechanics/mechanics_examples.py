@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld.mechanics import (
+    ViscousFriction,
     ConstrainedLagrangian,
     Constraints,
     DistanceToPoint,
@@ -32,9 +33,11 @@ class Weight(eqx.Module):
 
 
 def law(masses, constraint, input_matrix=None, damping=None, potential=None):
+    """`damping` is C of the viscous friction −C v."""
     masses = jnp.asarray(masses, float)
+    friction = None if damping is None else ViscousFriction(jnp.asarray(damping, float))
     return ConstrainedLagrangian(
-        PointMasses(jnp.sqrt(masses)), potential or Weight(masses), input_matrix, constraint, damping
+        PointMasses(jnp.sqrt(masses)), potential or Weight(masses), input_matrix, constraint, friction
     )
 
 

@@ -230,7 +230,8 @@ def test_period_of_a_small_swing():
 
 def test_damped_free_mass_comes_to_rest_as_an_exponential():
     damping, time = 0.6, 2.0
-    system = law([0.5], None, damping=jnp.array([[damping**0.5]]), potential=lambda x: 0.0 * x[0])
+    system = law([0.5], None, damping=[[damping]], potential=lambda x: 0.0 * x[0])
     state = initial_state(system, jnp.zeros(2), jnp.array([1.0, -2.0]))
     moved = last(rollout(MechanicalDynamics(system, Rattle()), state, jnp.zeros(0), time / 50, 50))
-    np.testing.assert_allclose(moved.v, np.exp(-damping / 0.5 * time) * np.array([1.0, -2.0]), rtol=1e-5)
+    # The mid-point rule is exact to the third order of the 2.4 % that a half step takes.
+    np.testing.assert_allclose(moved.v, np.exp(-damping / 0.5 * time) * np.array([1.0, -2.0]), rtol=3e-4)

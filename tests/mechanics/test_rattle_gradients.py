@@ -8,14 +8,15 @@ from mechanics_examples import law, on_circle
 
 from keycld.mechanics import (
     AffineMLPInputMatrix,
-    AffineMLPPotential,
     Constraints,
     DistanceToPoint,
     FixedDistance,
     MechanicalDynamics,
     Motion,
+    PerceptronPotential,
     Rattle,
     State,
+    SumPotential,
 )
 
 CONSTRAINTS = Constraints(("elbow", "tip"), (DistanceToPoint("elbow", "pivot"), FixedDistance("elbow", "tip")))
@@ -24,13 +25,13 @@ CONSTRAINTS = Constraints(("elbow", "tip"), (DistanceToPoint("elbow", "pivot"), 
 def problem():
     """Everything that training differentiates by: the law, the initial_state, the constants, a pivot, the input."""
     keys = jax.random.split(jax.random.key(0))
-    potential = AffineMLPPotential(4, 8, key=keys[0])
-    potential = eqx.tree_at(lambda p: p.weight, potential, jnp.array([0.3, 6.0, -0.2, 4.0]))
+    perceptron = PerceptronPotential.zero(CONSTRAINTS, key=keys[0])
+    potential = SumPotential(jnp.array([0.3, 6.0, -0.2, 4.0]), {"perceptron": perceptron})
     system = law(
         [1.0, 0.7],
         CONSTRAINTS,
         input_matrix=AffineMLPInputMatrix(4, 1, 8, key=keys[1]),
-        damping=jnp.array([[0.5, 0.0], [0.2, 0.4]]),
+        damping=jnp.array([[0.25, 0.0], [0.1, 0.2]]),
         potential=potential,
     )
     # Weights large enough to matter.

@@ -8,7 +8,7 @@ import optax
 import pytest
 from optax import contrib
 
-from keycld.mechanics import AffineMLPPotential
+from keycld.mechanics import MLPPotential
 from keycld.stages import adam, muon, warmup_cosine
 from keycld.vision import LightUNet
 
@@ -18,7 +18,7 @@ def parameters():
     keys = jax.random.split(jax.random.key(0))
     parts = (
         LightUNet(12, 4, 8, key=keys[0]),
-        AffineMLPPotential(4, 8, key=keys[1]),
+        MLPPotential(4, 8, key=keys[1]),
         {"scale": jnp.ones(()), "none": None},
     )
     return eqx.filter(parts, eqx.is_inexact_array)

@@ -11,6 +11,7 @@ import pytest
 from keycld._errors import KeycldError
 from keycld._lock import locked
 from keycld.data import open_data
+from keycld.mechanics import terms_of, with_kinds
 from keycld.models import Scene, config_for
 from keycld.models.keycld.prepare import fit_dynamics, measure_velocity_prior
 from keycld.models.keycld.recipes.fast import FastConfig
@@ -103,7 +104,7 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
     root, _, _ = whole
     old = shutil.copytree(root / "whole", root / "old")
     config = json.loads((old / "config.json").read_text())
-    then = CONFIG.changed({"constraints": config["settings"]["constraints"], "potential_width": 32, "input_width": 32})
+    then = CONFIG.changed({"constraints": config["settings"]["constraints"], "terms": ["perceptron-32"], "input_width": 32})
     model = then.build(Scene(**config["scene"]), jax.random.key(1))
     save_arrays(latest_checkpoint(old) / WEIGHTS, model)
     settings = config["settings"]
@@ -131,13 +132,13 @@ def test_a_configuration_of_schema_2_is_migrated(whole):
     config = json.loads((old / "config.json").read_text())
     config["schema_version"] = 2
     config["settings"] |= {"long": config["settings"]["joint"] | {"steps": 3600}}
-    for name in ("potential_width", "input_width"):
+    for name in ("terms", "input_width"):
         del config["settings"][name]
     config["settings"]["joint"] |= {"scale": 0.02}
     del config["settings"]["joint"]["fit_every"]
     (old / "config.json").write_text(json.dumps(config))
     settings = read_config(old).settings
-    assert settings["potential_width"] == settings["input_width"] == 32 and "long" not in settings
+    assert settings["terms"] == ["perceptron-32"] and settings["input_width"] == 32 and "long" not in settings
     assert settings["joint"] == CONFIG.changed({"joint.steps": 2000}).settings()["joint"] | {
         "scale": 0.02,
         "horizons": [8, 16, 32, 50, 50],
@@ -146,21 +147,20 @@ def test_a_configuration_of_schema_2_is_migrated(whole):
 
 
 def test_a_model_that_grew_is_resumed_and_loaded(whole):
-    """With a perceptron in V that the settings do not name: the checkpoint does."""
+    """With springs that the settings do not name: the checkpoint does."""
     root, data, _ = whole
     run = cut(root, 1, True)
     checkpoint = latest_checkpoint(run)
     model = load_run(run)[0]
-    grown = eqx.tree_at(lambda m: m.law.potential, model, model.law.potential.with_perceptron(8, key=jax.random.key(0)))
+    grown = eqx.tree_at(lambda m: m.dynamics.law, model, with_kinds(model.law, ("springs",), key=jax.random.key(0)))
     save_arrays(checkpoint / WEIGHTS, grown)
     position = json.loads((checkpoint / "position.json").read_text())
-    assert position["changes"] == {}
-    (checkpoint / "position.json").write_text(json.dumps(position | {"changes": {"potential_width": 8}}))
+    (checkpoint / "position.json").write_text(json.dumps(position | {"changes": {"terms": ["springs"]}}))
     resumed = train(data, run, CONFIG)
-    assert resumed.law.potential.perceptron.kernels[0].shape == (2, 8) and finished(run)
+    assert set(terms_of(resumed.law)) == {"springs"} and finished(run)
     loaded, config = load_run(run)
     assert_same(resumed, loaded)
-    assert config.settings["potential_width"] == 0
+    assert config.settings["terms"] is None
 
 
 def test_a_renamed_field_is_a_migration_and_not_damage(tmp_path):

@@ -86,15 +86,12 @@ class Experiment:
         return f"{self.suite}/{self.preset}{changed}"
 
     def config(self) -> ModelConfig:
-        """Return the config of the model, with the changed settings and the protocol's number of given frames.
+        """Return the config of the model, with the changed settings.
 
         Raises:
             KeycldError: the model, the preset or a setting does not exist.
         """
-        config = config_for(self.model, self.preset, **self.settings)
-        if "given" in config.settings() and "given" not in self.settings:
-            config = config.changed({"given": self.protocols[0].given})
-        return config.completed(get(self.data.system))
+        return config_for(self.model, self.preset, **self.settings).completed(get(self.data.system))
 
     def hash(self) -> str:
         """Return the hash of all that determines the outcome: model, preset, all settings, seed, data recipe."""

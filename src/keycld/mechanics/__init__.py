@@ -18,6 +18,20 @@ from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
 from keycld.mechanics.fitting import Fitted as Fitted
 from keycld.mechanics.fitting import fit_motions as fit_motions
+from keycld.mechanics.force import AbstractDissipationTerm as AbstractDissipationTerm
+from keycld.mechanics.force import AbstractPotentialTerm as AbstractPotentialTerm
+from keycld.mechanics.force import AbstractTerm as AbstractTerm
+from keycld.mechanics.force import SumDissipation as SumDissipation
+from keycld.mechanics.force import SumPotential as SumPotential
+from keycld.mechanics.force import register_term as register_term
+from keycld.mechanics.force import term_kinds as term_kinds
+from keycld.mechanics.force import terms_of as terms_of
+from keycld.mechanics.force import with_kinds as with_kinds
+from keycld.mechanics.force import with_terms as with_terms
+from keycld.mechanics.forces.viscous import ViscousFriction as ViscousFriction
+from keycld.mechanics.forces.perceptron import PerceptronPotential as PerceptronPotential
+from keycld.mechanics.forces.springs import Springs as Springs
+from keycld.mechanics.regression import regress_forces as regress_forces
 from keycld.mechanics.generalized import GeneralizedLagrangian as GeneralizedLagrangian
 from keycld.mechanics.generalized import MLPFactor as MLPFactor
 from keycld.mechanics.generalized import pulled_back as pulled_back
@@ -41,7 +55,6 @@ from keycld.mechanics.masses import CoupledMasses as CoupledMasses
 from keycld.mechanics.masses import PointMasses as PointMasses
 from keycld.mechanics.named import integrator_named as integrator_named
 from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatrix
-from keycld.mechanics.networks import AffineMLPPotential as AffineMLPPotential
 from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
 from keycld.mechanics.networks import MLPPotential as MLPPotential
 from keycld.mechanics.networks import Perceptron as Perceptron
@@ -72,6 +85,7 @@ from keycld.mechanics.symplectic import Composition as Composition
 __all__ = [
     "AbstractConstraint",
     "AbstractDisplacement",
+    "AbstractDissipationTerm",
     "AbstractDynamics",
     "AbstractField",
     "AbstractHamiltonian",
@@ -80,10 +94,11 @@ __all__ = [
     "AbstractLaw",
     "AbstractMassMatrix",
     "AbstractMechanicalDynamics",
+    "AbstractPotentialTerm",
     "AbstractRelation",
+    "AbstractTerm",
     "AdaptiveDynamics",
     "AffineMLPInputMatrix",
-    "AffineMLPPotential",
     "Composition",
     "ConstrainedLagrangian",
     "Constraints",
@@ -107,6 +122,7 @@ __all__ = [
     "Motion",
     "OnLine",
     "Perceptron",
+    "PerceptronPotential",
     "PhasePoint",
     "PointMasses",
     "PointPair",
@@ -119,9 +135,13 @@ __all__ = [
     "SecondOrderNetwork",
     "SeparableHamiltonian",
     "Shake",
+    "Springs",
     "State",
+    "SumDissipation",
+    "SumPotential",
     "SwishEnergy",
     "SwishMLP",
+    "ViscousFriction",
     "adaptive_rollout",
     "as_constraint",
     "dump_constraints",
@@ -133,9 +153,15 @@ __all__ = [
     "parse_constraints",
     "pulled_back",
     "register_relation",
+    "register_term",
+    "regress_forces",
     "rigid_body",
     "solve_positive",
+    "term_kinds",
+    "terms_of",
     "to_hamiltonian",
     "truncated_normal",
     "two_point_masses",
+    "with_kinds",
+    "with_terms",
 ]

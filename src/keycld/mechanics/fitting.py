@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from keycld._errors import KeycldError
 from keycld.mechanics.dynamics import MechanicalDynamics, joining_velocity
@@ -26,13 +26,23 @@ class Fitted(NamedTuple):
         dynamics: the given ones with the fitted parameters.
         initial: the fitted initial states, `[N, dim]` each; a further fit can begin with them.
         paths: positions of the fitted motions at all frames.
-        rms: root mean square difference of paths and observations, per component.
+        errors: root mean square difference of path and observations of each motion, over the frames of the fit, per
+            component.
+        cost: the sum that was minimised.
+        curvature: second derivatives of the least cost by θ, initial states eliminated, at the last step but one.
     """
 
     dynamics: MechanicalDynamics
     initial: Motion
     paths: Float[Array, "N T dim"]
-    rms: Float[Array, ""]
+    errors: Float[Array, "N"]
+    cost: Float[Array, ""]
+    curvature: Float[Array, "P P"]
+
+    @property
+    def rms(self) -> Float[Array, ""]:
+        """Root mean square of the errors of all motions."""
+        return jnp.sqrt(jnp.mean(self.errors**2))
 
 
 def fit_motions(
@@ -42,11 +52,12 @@ def fit_motions(
     u: Float[Array, "N *T l"],
     dt: Scalar,
     *,
-    horizons: tuple[int, ...],
+    frames: int | Int[Array, ""] | None = None,
+    active: PyTree | None = None,
     constants: Float[Array, "n"] | None = None,
     initial: Motion | None = None,
     searches: int = 3,
-    iterations: int = 30,
+    iterations: int | Int[Array, ""] = 30,
     scale: float = 0.05,
     chunk: int = 50,
 ) -> Fitted:
@@ -58,9 +69,9 @@ def fit_motions(
     average out over all frames of a motion, so fitted paths are better estimates of the positions than the
     observations are, and forces act over the whole time instead of between two frames.
 
-    Initial states are fitted first, to growing parts of the trajectories. Then steps of all unknowns alternate with
-    steps of the initial states alone; each motion accepts its own. The initial states are eliminated motion by motion
-    (Schur complement), so the cost is linear in N.
+    Initial states are fitted first. Then steps of all unknowns alternate with steps of the initial states alone; each
+    motion accepts its own. The initial states are eliminated motion by motion (Schur complement), so the cost is linear
+    in N. From a rough guess, fit growing parts of the trajectories, one call each.
 
     Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B takes
     the derivative of the acceleration at the two frames as linear between them: an error of (ω dt)², which slows the
@@ -72,17 +83,19 @@ def fit_motions(
         observed: observed positions at consecutive frames, image-plane units.
         u: inputs, constant or held per frame.
         dt: seconds between frames.
-        horizons: numbers of frames used while only initial states are fitted, growing, the last one at most T.
+        frames: how many of the first frames count; None: all.
+        active: a pytree of the same shape with 1 for each number of θ that is fitted and 0 for each that stays; None:
+            all are fitted. One compiled program serves all choices.
         constants: values of Φ that all motions share; None: for each motion the mean over its observations.
         initial: initial states to begin with, `[N, dim]` each; None: from the first two observations.
-        searches: steps of the initial states alone at each horizon.
-        iterations: the most steps of initial states and θ together, all frames. It ends after three in a row that gain
-            less than a thousandth of the cost each: from a good guess after 4, after the stage `dynamics` after 12.
+        searches: steps of the initial states alone before the others.
+        iterations: the most steps of initial states and θ together. It ends after three in a row that gain less than a
+            thousandth of the cost each: from a good guess after 4.
         scale: s, image-plane units; errors above it count linearly.
         chunk: trajectories differentiated at a time.
 
     Returns:
-        The dynamics with the fitted parameters, the initial states, the fitted paths, and their error.
+        The dynamics with the fitted parameters, the initial states, the fitted paths, and their errors.
 
     Raises:
         KeycldError: for another kind of law.
@@ -92,6 +105,8 @@ def fit_motions(
         raise KeycldError(f"motions are fitted through a ConstrainedLagrangian, not a {type(law).__name__}.")
     parameters, rest = eqx.partition(dynamics, free)
     flat, unravel = ravel_pytree(parameters)
+    chosen = jnp.ones_like(flat) if active is None else ravel_pytree(eqx.filter(active, free))[0]
+    mask = (jnp.arange(length) < (length if frames is None else frames)).astype(observed.dtype)
     if constants is None:
         constants = jax.vmap(lambda x: jnp.mean(jax.vmap(law.constraint)(x), axis=0))(observed)
     else:
@@ -113,14 +128,18 @@ def fit_motions(
         state = State(Motion(first[:dim], first[dim:]), {"constants": held})
         return model(theta).rollout(state, push if push.ndim == 1 else push[: length - 1], dt, length - 1)
 
-    def cost(error: Array, mask: Array) -> Array:
-        total = jnp.sum(mask[:, None] * scale**2 * (jnp.sqrt(1 + (error / scale) ** 2) - 1))
+    def counted(values: Array) -> Array:
+        # What has diverged after the last frame that counts must not spread.
+        return jnp.where(mask.reshape(-1, *[1] * (values.ndim - 1)) > 0, values, 0.0)
+
+    def cost(error: Array) -> Array:
+        total = jnp.sum(scale**2 * (jnp.sqrt(1 + (counted(error) / scale) ** 2) - 1))
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
-    def price(z: Array, theta: Array, x: Array, held: Array, push: Array, mask: Array) -> Array:
-        return cost(motion(z, theta, held, push).x - x, mask)
+    def price(z: Array, theta: Array, x: Array, held: Array, push: Array) -> Array:
+        return cost(motion(z, theta, held, push).x - x)
 
-    def blocks(z: Array, theta: Array, x: Array, held: Array, push: Array, mask: Array, together: bool) -> Any:
+    def blocks(z: Array, theta: Array, x: Array, held: Array, push: Array, together: bool) -> Any:
         """Compute matrix, slope and value of the quadratic model of one motion's cost, in z or in (z, θ)."""
         path = motion(z, theta, held, push)
         states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
@@ -148,11 +167,11 @@ def fit_motions(
             return slope, slope[:dim]
 
         _, later = jax.lax.scan(pass_frame, first, (transitions, pushes))
-        slopes = jnp.concatenate([first[None, :dim], later]).reshape(length * dim, -1)
-        weight = (mask[:, None] * jax.lax.rsqrt(1 + (error / scale) ** 2)).reshape(-1)
-        pull = slopes * weight[:, None]
+        slopes = counted(jnp.concatenate([first[None, :dim], later])).reshape(length * dim, -1)
+        error = counted(error)
+        pull = slopes * jax.lax.rsqrt(1 + (error / scale) ** 2).reshape(-1, 1)
         matrix = jnp.matmul(pull.T, slopes, precision="highest")
-        return matrix, jnp.matmul(pull.T, error.reshape(-1), precision="highest"), cost(error, mask)
+        return matrix, jnp.matmul(pull.T, error.reshape(-1), precision="highest"), cost(error)
 
     def each(function, *arrays):
         return jax.lax.map(lambda args: function(*args), arrays, batch_size=min(chunk, count))
@@ -163,30 +182,28 @@ def fit_motions(
         v = joining_velocity(dynamics, first, second, {"constants": held}, first_input, dt)
         return jnp.concatenate([first, clock * v])
 
-    def search(z: Array, dampings: Array, theta: Array, mask: Array) -> tuple[Array, Array]:
+    def search(z: Array, dampings: Array, theta: Array) -> tuple[Array, Array]:
         """Take a step of each initial state; each motion has its own damping."""
 
         def one(z, damping, x, held, push):
-            matrix, slope, old = blocks(z, theta, x, held, push, mask, False)
+            matrix, slope, old = blocks(z, theta, x, held, push, False)
             trial = z - jnp.linalg.solve(_damped(matrix, damping), slope)
-            better = price(trial, theta, x, held, push, mask) < old
+            better = price(trial, theta, x, held, push) < old
             return jnp.where(better, trial, z), _next_damping(better, damping)
 
         return each(one, z, dampings, observed, constants, u)
 
-    def fit_initial_states(carry, frames):
-        z, dampings = carry
-        return search(z, dampings, flat, (jnp.arange(length) < frames).astype(observed.dtype)), None
+    def fit_initial_states(carry, _):
+        return search(*carry, flat), None
 
     def unfinished(carry):
         _, stalls, taken = carry
         return (stalls < _STALLS) & (taken < iterations)
 
     def fit_all(carry):
-        (z, dampings, theta, damping, least), stalls, taken = carry
-        mask = jnp.ones(length, observed.dtype)
+        (z, dampings, theta, damping, least, _), stalls, taken = carry
         matrix, slope, old = each(
-            lambda z, x, held, push: blocks(z, theta, x, held, push, mask, True), z, observed, constants, u
+            lambda z, x, held, push: blocks(z, theta, x, held, push, True), z, observed, constants, u
         )
         inner = _damped(matrix[:, :size, :size], jnp.minimum(dampings, damping))
         mixed = matrix[:, :size, size:]
@@ -194,37 +211,41 @@ def fit_motions(
         alone = jnp.linalg.solve(inner, slope[:, :size, None])[..., 0]
         schur = matrix[:, size:, size:] - jnp.einsum("nzt,nzs->nts", mixed, by_theta, precision="highest")
         pull = slope[:, size:] - jnp.einsum("nzt,nz->nt", mixed, alone, precision="highest")
-        change = jnp.linalg.solve(_damped(jnp.sum(schur, axis=0), damping), jnp.sum(pull, axis=0))
+        curvature = chosen[:, None] * jnp.sum(schur, axis=0) * chosen[None, :]
+        change = jnp.linalg.solve(_damped(curvature, damping), chosen * jnp.sum(pull, axis=0))
         new_theta = theta - change
         new_z = z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
 
         def prices(z, new_z, x, held, push):
-            return [price(each, new_theta, x, held, push, mask) for each in (z, new_z)]
+            return [price(each, new_theta, x, held, push) for each in (z, new_z)]
 
         stayed, moved = each(prices, z, new_z, observed, constants, u)
         new_z = jnp.where((moved < stayed)[:, None], new_z, z)
         total = jnp.sum(old)
         better = jnp.sum(jnp.minimum(stayed, moved)) < total
         z, theta = jnp.where(better, new_z, z), jnp.where(better, new_theta, theta)
-        z, dampings = search(z, dampings, theta, mask)
+        z, dampings = search(z, dampings, theta)
         # `total` is the cost that the step before has reached.
         stalls = jnp.where(total < (1 - _GAIN) * least, 0, stalls + 1)
         least = jnp.minimum(least, total)
-        return (z, dampings, theta, _next_damping(better, damping), least), stalls, taken + 1
+        return (z, dampings, theta, _next_damping(better, damping), least, curvature), stalls, taken + 1
 
     if initial is None:
         z = each(first_guess, observed, constants, u)
     else:
         z = jnp.concatenate([initial.x, clock * initial.v], axis=1)
-    growing = jnp.repeat(jnp.array(horizons), searches)
-    (z, dampings), _ = jax.lax.scan(fit_initial_states, (z, jnp.full(count, 1e-2)), growing)
+    (z, dampings), _ = jax.lax.scan(fit_initial_states, (z, jnp.full(count, 1e-2)), length=searches)
+    curvature = jnp.zeros((flat.size, flat.size))
     if flat.size:
-        begin = (z, dampings, flat, jnp.array(1e-2), jnp.array(jnp.inf))
-        (z, _, flat, _, _), _, _ = jax.lax.while_loop(unfinished, fit_all, (begin, jnp.array(0), jnp.array(0)))
+        begin = (z, dampings, flat, jnp.array(1e-2), jnp.array(jnp.inf), curvature)
+        end, _, _ = jax.lax.while_loop(unfinished, fit_all, (begin, jnp.array(0), jnp.array(0)))
+        z, _, flat, _, _, curvature = end
     paths = each(lambda z, held, push: motion(z, flat, held, push).x, z, constants, u)
     first = jax.vmap(lambda z, held: projected(z, flat, held))(z, constants)
-    rms = jnp.sqrt(jnp.mean((paths - observed) ** 2))
-    return Fitted(model(flat), Motion(first[:, :dim], first[:, dim:]), paths, rms)
+    squares = jax.vmap(lambda error: jnp.sum(counted(error) ** 2))(paths - observed)
+    errors = jnp.sqrt(squares / (jnp.sum(mask) * dim))
+    total = jnp.sum(jax.vmap(cost)(paths - observed))
+    return Fitted(model(flat), Motion(first[:, :dim], first[:, dim:]), paths, errors, total, curvature)
 
 
 def _damped(matrix: Array, damping: Array) -> Array:

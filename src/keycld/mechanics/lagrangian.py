@@ -60,12 +60,13 @@ class AbstractLagrangian(AbstractLaw):
 class ConstrainedLagrangian(AbstractLagrangian):
     """Point masses with a potential energy, inputs and holonomic constraints.
 
-    L = ½ vᵀMv − V(x), constraints Φ(x) = constant, forces f = −∇V(x) + g(x) u − D v (eqs. 17–20).
+    L = ½ vᵀMv − V(x), constraints Φ(x) = constant, forces f = −∇V(x) + g(x) u − ∂R/∂v (eqs. 17–20). R(x, v) is
+    Rayleigh's dissipation function; the papers have none.
     The acceleration is eq. (6):
 
         a = M⁻¹f − M⁻¹DΦᵀ (DΦ M⁻¹ DΦᵀ)⁻¹ (DΦ M⁻¹ f + ⟨D²Φ, v⟩v)
 
-    M, V, g (and D) are determined only up to one common factor, which cancels here.
+    M, V, g (and R) are determined only up to one common factor, which cancels here.
 
     Args:
         mass: for instance `PointMasses`; M is its matrix [K, K] times I₂ (Kronecker product).
@@ -73,29 +74,25 @@ class ConstrainedLagrangian(AbstractLagrangian):
         input_matrix: g, a callable x [2K] → [2K, l]; None where there is no input.
         constraint: an `AbstractConstraint`, or a plain function `(x, parameters)` → [n]; None for free
             masses.
-        damping: L [K, K], of which the lower triangle counts: D = (L Lᵀ) ⊗ I₂; None for no dissipation.
+        dissipation: R, a callable (x [2K], v [2K]) → number; None for no friction.
 
     Raises:
-        KeycldError: if the constraint or the damping belongs to another number of keypoints.
+        KeycldError: if the constraint belongs to another number of keypoints.
     """
 
     mass: AbstractMassMatrix
     potential: Callable
     input_matrix: Callable | None
     constraint_function: AbstractConstraint
-    damping: Float[Array, "K K"] | None
+    dissipation: Callable | None
 
-    def __init__(self, mass, potential, input_matrix=None, constraint=None, damping=None):
+    def __init__(self, mass, potential, input_matrix=None, constraint=None, dissipation=None):
         count = mass.inverse.shape[0]
         self.mass = mass
         self.potential = potential
         self.input_matrix = input_matrix
         self.constraint_function = as_constraint(_nothing if constraint is None else constraint, 2 * count)
-        if damping is not None and damping.shape != (count, count):
-            raise KeycldError(
-                f"damping is a lower triangular matrix [K, K] with K = {count} keypoints, not of shape {damping.shape}."
-            )
-        self.damping = damping
+        self.dissipation = dissipation
 
     @property
     def masses(self) -> Float[Array, "K"]:
@@ -126,15 +123,7 @@ class ConstrainedLagrangian(AbstractLagrangian):
     @property
     def dissipative(self) -> bool:
         """Whether velocities cause forces."""
-        return self.damping is not None
-
-    @property
-    def damping_matrix(self) -> Float[Array, "K K"]:
-        """L Lᵀ [K, K], zero without dissipation; D is its Kronecker product with I₂."""
-        if self.damping is None:
-            return jnp.zeros_like(self.mass.inverse)
-        lower = jnp.tril(self.damping)
-        return gram(lower, lower)
+        return self.dissipation is not None
 
     @property
     def inputs(self) -> int:
@@ -152,8 +141,12 @@ class ConstrainedLagrangian(AbstractLagrangian):
         return jax.jacfwd(self.constraint)(x, parameters)
 
     def force(self, x: Float[Array, "dim"], u: Float[Array, "l"]) -> Float[Array, "dim"]:
-        """Return the force −∇V(x) + g(x) u, without damping."""
+        """Return the force −∇V(x) + g(x) u, without friction."""
         return combine(self.fields(x), u)
+
+    def friction(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, "dim"]:
+        """Return the force −∂R/∂v; zero without dissipation."""
+        return jnp.zeros_like(v) if self.dissipation is None else -jax.grad(self.dissipation, argnums=1)(x, v)
 
     def fields(self, x: Float[Array, "dim"]) -> tuple[Float[Array, "dim"], Float[Array, "dim l"] | None]:
         """Return ∇V(x) and g(x): what an integrator keeps of a position, whatever the input will be."""
@@ -166,15 +159,12 @@ class ConstrainedLagrangian(AbstractLagrangian):
         u: Float[Array, "l"],
         parameters: dict[str, Any] | None = None,
     ) -> Float[Array, "dim"]:
-        """Compute the acceleration by eq. (6) of arXiv v1, with −D v among the forces.
+        """Compute the acceleration by eq. (6) of arXiv v1, with friction among the forces.
 
         The linear system is solved by a damped Cholesky factorisation: redundant constraints and vanishing
         Jacobians give finite accelerations. ⟨D²Φ, v⟩v is a second forward-mode derivative, the `jvp` of a `jvp`.
         """
-        f = self.force(x, u)
-        if self.dissipative:
-            f = f - jnp.matmul(self.damping_matrix, v.reshape(-1, 2), precision="highest").reshape(-1)
-        free = self.over_mass(f)
+        free = self.over_mass(self.force(x, u) + self.friction(x, v))
         jacobian = self.jacobian(x, parameters)
         if jacobian.shape[0] == 0:
             return free

@@ -1,10 +1,12 @@
 """Mass matrices between keypoints, positive by construction (paper, eq. (14))."""
 
 import abc
+from typing import ClassVar, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
 from keycld._errors import KeycldError
@@ -26,6 +28,13 @@ class AbstractMassMatrix(eqx.Module):
     def inverse(self) -> Float[Array, "K K"]:
         """m⁻¹."""
 
+    coupled: ClassVar[bool]
+    """Whether m may have elements off the diagonal."""
+
+    @abc.abstractmethod
+    def nearest(self, matrix: Float[np.ndarray, "K K"]) -> Self:
+        """Return masses of the same kind with this positive definite m, or with its diagonal."""
+
 
 class PointMasses(AbstractMassMatrix):
     """One mass a keypoint: m = diag(r₁², …, r_K²), eq. (14).
@@ -33,6 +42,8 @@ class PointMasses(AbstractMassMatrix):
     Attributes:
         root: r [K], the square roots.
     """
+
+    coupled: ClassVar[bool] = False
 
     root: Float[Array, "K"]
 
@@ -58,6 +69,10 @@ class PointMasses(AbstractMassMatrix):
         """Their inverses on the diagonal."""
         return jnp.diag(1 / self.root**2)
 
+    def nearest(self, matrix: Float[np.ndarray, "K K"]) -> "PointMasses":
+        """Return the masses on the diagonal of a matrix."""
+        return PointMasses(jnp.sqrt(jnp.asarray(np.diagonal(matrix), self.root.dtype)))
+
 
 class CoupledMasses(AbstractMassMatrix):
     """A full mass matrix: m⁻¹ = R Rᵀ.
@@ -69,6 +84,8 @@ class CoupledMasses(AbstractMassMatrix):
     Attributes:
         root: R [K, K], of which the lower triangle counts.
     """
+
+    coupled: ClassVar[bool] = True
 
     root: Float[Array, "K K"]
 
@@ -88,6 +105,10 @@ class CoupledMasses(AbstractMassMatrix):
         """R Rᵀ."""
         lower = jnp.tril(self.root)
         return jnp.matmul(lower, lower.T, precision="highest")
+
+    def nearest(self, matrix: Float[np.ndarray, "K K"]) -> "CoupledMasses":
+        """Return the masses with this matrix."""
+        return CoupledMasses(jnp.asarray(np.linalg.cholesky(np.linalg.inv(matrix)), self.root.dtype))
 
 
 def _check_count(count: int) -> None:

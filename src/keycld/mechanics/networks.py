@@ -4,7 +4,6 @@ Their activation is the paper's CELU, whose gradient is continuous: a force is t
 energy, and the kinks of a ReLU would make it jump.
 """
 
-import math
 
 import equinox as eqx
 import jax
@@ -48,41 +47,6 @@ class MLPPotential(eqx.Module):
     def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
         """Return V(x); only differences of it matter."""
         return self.perceptron(x)[0]
-
-
-class AffineMLPPotential(eqx.Module):
-    """V(x) = w·x + perceptron; gravity is linear in keypoints, so least squares finds w before training.
-
-    Attributes:
-        weight: w [2K], zero before training.
-        perceptron: the rest, near zero before training; None: there is no rest.
-    """
-
-    weight: Float[Array, "dim"]
-    perceptron: Perceptron | None
-
-    def __init__(self, dim: int, width: int = 32, *, key: PRNGKeyArray):
-        """Make the potential; without a perceptron if `width` is 0."""
-        self.weight = jnp.zeros((dim,))
-        self.perceptron = Perceptron((dim, width, width, 1), key) if width else None
-
-    def with_perceptron(self, width: int = 16, *, key: PRNGKeyArray) -> "AffineMLPPotential":
-        """Return the same V with a perceptron that is zero, but whose hidden units are not: least squares can begin."""
-        perceptron = Perceptron((self.weight.shape[0], width, width, 1), key)
-        *hidden, last = perceptron.kernels
-        scaled = [kernel / (0.01 * math.sqrt(kernel.shape[0])) for kernel in hidden]
-        kernels = (*scaled, jnp.zeros_like(last))
-        return eqx.tree_at(
-            lambda v: v.perceptron,
-            self,
-            eqx.tree_at(lambda p: p.kernels, perceptron, kernels),
-            is_leaf=lambda x: x is None,
-        )
-
-    def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
-        """Return V(x)."""
-        affine = jnp.sum(self.weight * x)
-        return affine if self.perceptron is None else affine + self.perceptron(x)[0]
 
 
 class MLPInputMatrix(eqx.Module):

@@ -30,6 +30,8 @@ class ModelConfig(abc.ABC):
 
     RENAMED: ClassVar[Mapping[str, str]] = {}
     """Old prefixes of weight names, with the current ones: each renamed field has an entry here."""
+    ADDED: ClassVar[Mapping[str, float]] = {}
+    """Arrays that earlier versions did not save, by name, with the value that they get."""
     HALF: ClassVar[tuple[str, ...]] = ()
     """Prefixes of the names of weights that a packaged model may hold in half precision."""
 

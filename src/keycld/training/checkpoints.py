@@ -93,13 +93,16 @@ def save_arrays(path: Path, tree: PyTree) -> None:
     sync(path)
 
 
-def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = None) -> PyTree:
+def load_arrays(
+    path: Path, like: PyTree, renamed: Mapping[str, str] | None = None, added: Mapping[str, float] | None = None
+) -> PyTree:
     """Return `like` with the arrays of a file in place of its own.
 
     Args:
         path: a file that `save_arrays` wrote.
         like: a pytree whose arrays, or `jax.ShapeDtypeStruct`s, give names and shapes.
         renamed: prefixes of names in earlier versions, with the current ones.
+        added: arrays that a file of an earlier version may lack, by name, with the value that they get.
 
     Raises:
         KeycldError: the file is missing or damaged, or lacks an array or holds one of another shape.
@@ -110,6 +113,8 @@ def load_arrays(path: Path, like: PyTree, renamed: Mapping[str, str] | None = No
         raise KeycldError(f"{path} is missing or damaged ({error}): train again into a new --out.") from error
     arrays = {_current(name, renamed or {}): value for name, value in saved.items()}
     wanted = {name: leaf for name, leaf in _named(like) if _is_array(leaf)}
+    for name in (added or {}).keys() & wanted.keys() - arrays.keys():
+        arrays[name] = np.full(wanted[name].shape, (added or {})[name], wanted[name].dtype)
     for name in {**wanted, **arrays}:
         if name not in arrays or name not in wanted:
             what = "is missing" if name not in arrays else "belongs to nothing"

@@ -49,7 +49,7 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
     config = read_config(shelf)
     chosen = config.model_config()
     try:
-        return load_arrays(shelf / WEIGHTS, blank_model(chosen, config), chosen.RENAMED), config
+        return load_arrays(shelf / WEIGHTS, blank_model(chosen, config), chosen.RENAMED, chosen.ADDED), config
     except KeycldError as error:
         raise KeycldError(f"the packaged model '{run}' is damaged ({error}): install keycld again.") from error
 

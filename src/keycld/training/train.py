@@ -131,7 +131,7 @@ def load_run(run: str | Path, **settings: Any) -> tuple[AbstractModel, RunConfig
     if checkpoint is None:
         raise KeycldError(f"{folder} has no checkpoint yet: wait for the first one, or train it again.")
     chosen = config.model_config().changed(read_position(checkpoint).get("changes", {})).changed(settings)
-    return load_arrays(checkpoint / WEIGHTS, blank_model(chosen, config), chosen.RENAMED), config
+    return load_arrays(checkpoint / WEIGHTS, blank_model(chosen, config), chosen.RENAMED, chosen.ADDED), config
 
 
 def blank_model(chosen: ModelConfig, config: RunConfig) -> AbstractModel:

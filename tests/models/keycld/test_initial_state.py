@@ -5,12 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld import KeycldError
 from keycld.mechanics import Motion, State
 from keycld.models.keycld.initial_state import CentralInitialState, DifferenceInitialState, FittedInitialState
 
 DT = jnp.array(0.05)
-NOTHING = jnp.zeros(0)
+NOTHING, ERROR = jnp.zeros(0), jnp.array([1e-3])
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +23,7 @@ def swing(pendulum):
 @pytest.mark.parametrize("given", [2, 3, 4])
 def test_a_fitted_initial_state_recovers_the_observed_motion(pendulum, swing, given):
     state, seen = swing
-    found = FittedInitialState(None, given)(pendulum, seen[:given], DT, NOTHING).coordinates
+    found = FittedInitialState(None, ERROR).smooth(pendulum, seen[:given], DT, NOTHING)[0].coordinates
     np.testing.assert_allclose(found.x, state.coordinates.x, atol=2e-4)
     np.testing.assert_allclose(found.v, state.coordinates.v, atol=5e-3)
 
@@ -33,16 +32,33 @@ def test_a_third_frame_halves_the_error_of_the_velocity(pendulum, swing):
     """The error of a difference over one frame is σ√2/dt, over two frames σ/(√2 dt)."""
     state, seen = swing
     noisy = seen[None, :3] + 1e-3 * jax.random.normal(jax.random.key(0), (200, 3, 2))
-    initial = jax.jit(jax.vmap(lambda x: FittedInitialState(None, 3)(pendulum, x, DT, NOTHING)))(noisy)
+    initial = jax.jit(jax.vmap(lambda x: FittedInitialState(None, ERROR).smooth(pendulum, x, DT, NOTHING)[0]))(noisy)
     error = float(jnp.sqrt(jnp.mean(jnp.sum((initial.coordinates.v - state.coordinates.v[None]) ** 2, axis=-1))))
     assert error == pytest.approx(1e-3 / (np.sqrt(2) * float(DT)), rel=0.2)
+
+
+def test_the_covariance_of_ten_frames_is_that_of_their_errors(pendulum, swing):
+    """Errors of 400 initial states along the motion, against the stated standard deviation; one frame is an outlier."""
+    state, seen = swing
+    seen = pendulum.rollout(state, NOTHING, DT, 9).x
+    noisy = seen[None] + 1e-3 * jax.random.normal(jax.random.key(1), (400, 10, 2))
+    noisy = noisy.at[:, 4].add(0.1)
+    smooth = jax.jit(jax.vmap(lambda x: FittedInitialState(jnp.ones(1), ERROR).smooth(pendulum, x, DT, NOTHING)))
+    found, covariance = smooth(noisy)
+    along = jnp.array([jnp.cos(1.0), jnp.sin(1.0)])
+    for coordinate, truth, stated in (
+        (found.coordinates.x, state.coordinates.x, covariance[:, :2, :2]),
+        (found.coordinates.v, state.coordinates.v, covariance[:, 2:, 2:]),
+    ):
+        error = jnp.std((coordinate - truth[None]) @ along)
+        assert float(error) == pytest.approx(float(jnp.sqrt(jnp.mean(along @ stated @ along))), rel=0.25)
 
 
 def test_shared_constants_are_those_of_the_motion(pendulum, swing):
     """Keypoints observed 2 % too far from the pivot do not make the pendulum longer."""
     _, seen = swing
     own, shared = (
-        FittedInitialState(constants)(pendulum, 1.02 * seen[:2], DT, NOTHING) for constants in (None, jnp.ones(1))
+        FittedInitialState(constants, ERROR)(pendulum, 1.02 * seen[:2], DT, NOTHING) for constants in (None, jnp.ones(1))
     )
     assert float(jnp.linalg.norm(own.coordinates.x)) == pytest.approx(1.02, rel=1e-3)
     assert float(jnp.linalg.norm(shared.coordinates.x)) == pytest.approx(1.0, rel=1e-5)
@@ -68,8 +84,3 @@ def test_a_central_difference_keeps_to_the_constraint(pendulum, swing):
     plain = (seen[2] - seen[0] - 0.03) / (2 * DT)
     tangent = jnp.array([-seen[1, 1], seen[1, 0]])
     np.testing.assert_allclose(jnp.sum(found.v * tangent), jnp.sum(plain * tangent), rtol=1e-5)
-
-
-def test_one_frame_is_refused():
-    with pytest.raises(KeycldError, match="2 or more given frames, not 1"):
-        FittedInitialState(None, 1)

@@ -61,7 +61,7 @@ def pictures(x):
 
 
 def measured(pendulum, x, prior):
-    return measure_velocity_prior(Observed(pendulum, FittedInitialState(jnp.ones(1)), prior), pictures(x))[0]
+    return measure_velocity_prior(Observed(pendulum, FittedInitialState(jnp.ones(1), jnp.array([3e-3])), prior), pictures(x))[0]
 
 
 def after_rest(pendulum, angle, frames):
@@ -149,7 +149,7 @@ def test_recordings_from_the_middle_of_motions_give_no_prior(pendulum):
     x = recorded(pendulum, thrown)
     model = measured(pendulum, x, VelocityPrior.unknown())
     seen = jax.vmap(lambda x: model.initial_state(pendulum, x[:2], DT, NOTHING))(x)
-    found = jax.vmap(lambda s: model.velocity_prior(pendulum, s, NOTHING))(seen)
+    found = jax.vmap(lambda s: model.velocity_prior(pendulum, s, None, NOTHING))(seen)
     off = jnp.abs(rates(found) - rates(seen))
     assert float(jnp.max(off)) < 0.2 * OBSERVATION
 
@@ -163,9 +163,9 @@ def test_redundant_constraints_give_finite_numbers(pendulum):
     rod = DistanceToPoint("bob")
     twice = eqx.tree_at(lambda d: d.law.constraint_function, pendulum, Constraints(("bob",), (rod, rod)))
     x = recorded(pendulum, after_rest(pendulum, angles(30), 1))
-    unknown = Observed(twice, FittedInitialState(jnp.ones(2)), VelocityPrior.unknown())
+    unknown = Observed(twice, FittedInitialState(jnp.ones(2), jnp.array([3e-3])), VelocityPrior.unknown())
     model = measure_velocity_prior(unknown, pictures(x))[0]
     assert twice.law.freedom == 1
     assert float(model.velocity_prior.elapsed) == pytest.approx(float(DT), rel=0.2)
-    state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), NOTHING)
+    state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), None, NOTHING)
     assert bool(jnp.all(jnp.isfinite(state.coordinates.v)))

@@ -21,11 +21,12 @@ class KeyCLDConfig(ModelConfig):
     """KeyCLD, KeyCLD-NC, NODE2 or FC: one config class for the four models of the family; `model` names which."""
 
     # Names of schema 1.
-    RENAMED: ClassVar[Mapping[str, str]] = {
+    RENAMED: ClassVar[dict[str, str]] = {
         "start.": "initial_state.",
         "beginning.sighting": "velocity_prior.observation",
         "beginning.": "velocity_prior.",
     }
+    ADDED: ClassVar[Mapping[str, float]] = {"initial_state.error": 0.003}
     HALF: ClassVar[tuple[str, ...]] = ("estimator.", "renderer.")
 
     constraints: Annotated[Any, tyro.conf.Suppress] = None

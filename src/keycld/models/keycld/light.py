@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import jax
@@ -12,22 +13,25 @@ from keycld.data import FrameGroups, RandomFrames
 from keycld.mechanics import (
     RK4,
     AffineMLPInputMatrix,
-    AffineMLPPotential,
     ConstrainedLagrangian,
     CoupledMasses,
     MechanicalDynamics,
     PointMasses,
     Rattle,
     SecondOrderNetwork,
+    SumPotential,
+    terms_of,
+    with_kinds,
 )
 from keycld.models.base import AbstractModel
+from keycld.models.keycld.config import KeyCLDConfig
 from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
 from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
 from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
-    grow_dynamics,
+    identify_dynamics,
     measure_statistics,
     measure_velocity_prior,
     sequence,
@@ -50,7 +54,7 @@ from keycld.vision import (
 )
 
 if TYPE_CHECKING:
-    from keycld.models.keycld.recipes.fast import FastConfig
+    from keycld.models.keycld.recipes.fast import DynamicsStage, FastConfig
 
 
 def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
@@ -75,14 +79,15 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
             estimator=estimator,
             dynamics=MechanicalDynamics(law, RK4()),
             renderer=renderer,
-            initial_state=plain_initial_state(config.given),
+            initial_state=plain_initial_state(config.context),
         )
     law = ConstrainedLagrangian(
         mass=(CoupledMasses if config.coupled_masses else PointMasses).ones(config.keypoints),
-        potential=AffineMLPPotential(dim, config.potential_width, key=keys[0]),
+        potential=SumPotential(jnp.zeros(dim), {}),
         input_matrix=AffineMLPInputMatrix(dim, scene.inputs, config.input_width, key=keys[1]) if scene.inputs else None,
         constraint=None if config.model == "keycld-nc" else config.phi,
     )
+    law = with_kinds(law, config.terms or (), key=keys[0])
     dynamics = MechanicalDynamics(law, Rattle(substeps=config.substeps))
     return KeyCLD(
         estimator=estimator,
@@ -93,18 +98,17 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
     )
 
 
-def potential_width(model: AbstractModel) -> int:
-    """Return the width of the perceptron in the potential energy of a model, 0 without one."""
-    potential = model.law.potential if isinstance(model, KeyCLD) else None
-    perceptron = potential.perceptron if isinstance(potential, AffineMLPPotential) else None
-    return 0 if perceptron is None else perceptron.kernels[0].shape[1]
+def kinds(model: AbstractModel) -> tuple[str, ...] | None:
+    """Return the kinds of the terms in V and R of a model; None if it has no Lagrangian."""
+    return tuple(terms_of(model.law)) if isinstance(model, KeyCLD) else None
 
 
 def _initial_state(config: "FastConfig") -> AbstractInitialState:
     # Placeholder positions, until the constants are measured on the first keypoints.
     placeholder = jnp.linspace(-0.4, 0.6, 2 * config.keypoints)
     shared = placeholder[:0] if config.model == "keycld-nc" else config.phi(placeholder)
-    return FittedInitialState(shared if config.shared_constants else None, config.given)
+    error = jnp.full(config.keypoints, KeyCLDConfig.ADDED["initial_state.error"])
+    return FittedInitialState(shared if config.shared_constants else None, error)
 
 
 def _estimator(config: "FastConfig", scene: Scene, key: PRNGKeyArray, dense: bool) -> AbstractEstimator:
@@ -167,19 +171,9 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
 
     def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> FrameGroups:
         within = tuple(min(horizon, scene.frames) for horizon in horizons)
-        groups = min(config.groups, max(1, min(within) // config.given))
-        return FrameGroups(batch, groups, within, float(steps), cached, config.given, config.first_frames)
+        groups = min(config.groups, max(1, min(within) // config.context))
+        return FrameGroups(batch, groups, within, float(steps), cached, config.context, config.first_frames)
 
-    dynamics = Stage(
-        name="dynamics",
-        steps=second.steps,
-        sampler=clips(second.batch, second.horizons, second.steps, cached=True),
-        loss=TrackLoss(second.scale),
-        groups=(Group("dynamics", lambda m: m.dynamics, second.rate), *_frozen(config, scene)),
-        schedule=functools.partial(warmup_cosine, final=0.1),
-        clip=1.0,
-        prepare=sequence(cache_keypoints, share_constants),
-    )
     joint = Stage(
         name="joint",
         steps=third.steps,
@@ -199,22 +193,28 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         optimiser=muon,
         schedule=warmup_cosine,
         clip=1e3,
-        prepare=grow_dynamics,
         every=third.fit_every,
         refresh=fit_dynamics,
     )
+    if config.model == "node2":
+        dynamics = _gradient_stage(second, clips)
+    else:
+        identify = functools.partial(identify_dynamics, terms=config.terms)
+        dynamics = dataclasses.replace(joint, name="dynamics", steps=0, prepare=identify, refresh=None)
     last = sequence(fit_dynamics, measure_velocity_prior)
     prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, refresh=None, validate=True)
     return vision, dynamics, joint, prior
 
 
-def _frozen(config: "FastConfig", scene: Scene) -> tuple[Group, ...]:
-    """Return the groups that the dynamics stage freezes: on noisy keypoints the perceptrons would fit the noise."""
-    if config.model == "node2":
-        return ()
-    frozen = []
-    if config.potential_width:
-        frozen.append(Group("potential perceptron", lambda m: m.dynamics.law.potential.perceptron, 0.0))
-    if config.input_width and scene.inputs:
-        frozen.append(Group("input perceptron", lambda m: m.dynamics.law.input_matrix.perceptron, 0.0))
-    return tuple(frozen)
+def _gradient_stage(config: "DynamicsStage", clips: Callable[..., FrameGroups]) -> Stage:
+    """Return the dynamics stage of a model without a Lagrangian: roll-outs on cached keypoints."""
+    return Stage(
+        name="dynamics",
+        steps=config.steps,
+        sampler=clips(config.batch, config.horizons, config.steps, cached=True),
+        loss=TrackLoss(config.scale),
+        groups=(Group("dynamics", lambda m: m.dynamics, config.rate),),
+        schedule=functools.partial(warmup_cosine, final=0.1),
+        clip=1.0,
+        prepare=sequence(cache_keypoints, share_constants),
+    )

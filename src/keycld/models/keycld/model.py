@@ -90,18 +90,18 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         return self.renderer(self.keypoints(state))
 
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
-        """Estimate the state from the keypoints of the first `context` frames.
+        """Estimate the state from the keypoints of the given frames, as many as the initial state can use.
 
         Raises:
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         check_inputs(u, self.inputs)
-        x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames[: self.context])
-        state = self.initial_state(self.dynamics, x, dt, u)
+        x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames)
+        state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u)
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)
-        return self.velocity_prior(self.dynamics, state, u if u.ndim == 1 else u[0])
+        return self.velocity_prior(self.dynamics, state, covariance, u if u.ndim == 1 else u[0])
 
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
         """Integrate the dynamics; the constants of the constraints stay those of the given state."""

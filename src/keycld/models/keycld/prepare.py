@@ -13,7 +13,8 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import AffineMLPPotential, MechanicalDynamics, Motion, State, fit_motions
+from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
+from keycld.models.keycld.identify import identify, refit
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -21,8 +22,6 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 _MEASURED = 200
 # About how many recordings a fit observes.
 _FITTED = 150
-# Compiled once for all stages.
-_fit = eqx.filter_jit(fit_motions)
 
 
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -75,8 +74,34 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     return _sharing(model, data.cached), data
 
 
+def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | None = None) -> tuple[Any, Resident]:
+    """Find the forces that act from the keypoints of some recordings: `identify`, and print what it found.
+
+    The constants of Φ are measured on the same keypoints first. A model without a Lagrangian is returned unchanged.
+
+    Args:
+        model: the model whose dynamics are identified.
+        data: the training data.
+        terms: kinds of the terms of V and R; None: those that the motion asks for.
+    """
+    if not isinstance(model, KeyCLD):
+        return model, data
+    x, u = _observed(model, data, _FITTED)
+    model, pixel = _sharing(model, x), 2 / max(data.shape[2:4])
+    assert isinstance(model.dynamics, MechanicalDynamics)
+    found = identify(model.dynamics, x, u, data.dt, model.constants, pixel=pixel, terms=terms)
+    model = eqx.tree_at(lambda m: m.dynamics, model, found.dynamics)
+    acting = terms_of(model.law)
+    print(
+        f"dynamics     affine V{''.join(f', {kind}' for kind in acting)}; "
+        f"fitted paths are {found.rms / pixel:.2f} pixels from the keypoints",
+        flush=True,
+    )
+    return model, data
+
+
 def fit_dynamics(model: Any, data: Resident, *, trajectories: int = _FITTED) -> tuple[Any, Resident]:
-    """Fit masses, V and g to the keypoints of some recordings, by least squares through the dynamics.
+    """Fit masses, V, g and R to the keypoints of some recordings, by least squares through the dynamics.
 
     Gradient steps on a few clips leave errors of several per cent in these numbers, about fifty, and such errors limit
     long predictions. Whole trajectories determine them. The constants of Φ are measured on the same keypoints first. A
@@ -90,31 +115,13 @@ def fit_dynamics(model: Any, data: Resident, *, trajectories: int = _FITTED) -> 
     if not isinstance(model, KeyCLD):
         return model, data
     x, u = _observed(model, data, trajectories)
-    return _fitted(_sharing(model, x), x, u, data.dt)[0], data
-
-
-def grow_dynamics(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Fit the dynamics as `fit_dynamics` does; where an affine V cannot explain the keypoints, add a perceptron to it.
-
-    The criterion is the error of the fitted paths: with the right terms it is the observation error, a tenth of a
-    pixel; without a spring that acts it is several pixels. The perceptron stays if it lowers this error by a quarter.
-    """
-    if not isinstance(model, KeyCLD):
-        return model, data
-    x, u = _observed(model, data, _FITTED)
-    model, error = _fitted(_sharing(model, x), x, u, data.dt)
-    potential, pixel = model.law.potential, 2 / max(data.shape[2:4])
-    if not isinstance(potential, AffineMLPPotential) or potential.perceptron is not None or error < 0.3 * pixel:
-        return model, data
-    grown = eqx.tree_at(lambda m: m.law.potential, model, potential.with_perceptron(key=jax.random.key(0)))
-    grown, less = _fitted(grown, x, u, data.dt)
-    kept = less < 0.75 * error
-    print(
-        f"dynamics     an affine V leaves errors of {error / pixel:.2f} pixels, a perceptron {less / pixel:.2f}: "
-        f"{'kept' if kept else 'left out'}",
-        flush=True,
-    )
-    return grown if kept else model, data
+    model = _sharing(model, x)
+    assert isinstance(model.dynamics, MechanicalDynamics)
+    fitted = refit(model.dynamics, x, u, data.dt, model.constants)
+    model = eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics)
+    # The median of |e| of a normal distribution is 0.67 σ.
+    error = jnp.median(jnp.abs(fitted.paths - x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
+    return eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5)), data
 
 
 def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = _FITTED) -> tuple[Any, Resident]:
@@ -151,21 +158,6 @@ def _observed(model: Any, data: Resident, trajectories: int) -> tuple[jax.Array,
     """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs."""
     some = range(0, len(data.u), max(1, len(data.u) // trajectories))
     return jnp.stack([_observe(model, data.image[i]) for i in some]), data.u[some.start : some.stop : some.step]
-
-
-def _fitted(model: KeyCLD, x: jax.Array, u: jax.Array, dt: jax.Array) -> tuple[KeyCLD, float]:
-    """Return the model with fitted dynamics, and the root mean square error of its paths, image-plane units."""
-
-    def free(path: Any, leaf: Any) -> bool:
-        # The perceptron of g has thousands of weights and little to say about the motion.
-        return eqx.is_inexact_array(leaf) and "input_matrix.perceptron" not in jax.tree_util.keystr(path)
-
-    assert isinstance(model.dynamics, MechanicalDynamics)
-    length = x.shape[1]
-    horizons = tuple(sorted({min(frames, length) for frames in (length // 4, length // 2, length)}))
-    which = jax.tree_util.tree_map_with_path(free, model.dynamics)
-    fitted = _fit(model.dynamics, which, x, u, dt, horizons=horizons, constants=model.constants)
-    return eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), float(fitted.rms)
 
 
 def _sharing(model: Any, x: jax.Array) -> Any:

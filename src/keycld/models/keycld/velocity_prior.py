@@ -47,21 +47,34 @@ class VelocityPrior(eqx.Module):
         zero, one = jnp.zeros(()), jnp.ones(())
         return cls(zero, one, zero, one)
 
-    def __call__(self, dynamics: MechanicalDynamics, state: State, u: Float[Array, "l"]) -> State:
-        """Return the state with the expected velocity v̂.
+    def __call__(
+        self,
+        dynamics: MechanicalDynamics,
+        state: State,
+        covariance: Float[Array, "size size"] | None,
+        u: Float[Array, "l"],
+    ) -> State:
+        """Return the state with the expected velocity v̂, and the position moved as far as it depends on the velocity.
 
         Args:
             dynamics: with a constrained Lagrangian, which gives a and n.
             state: at the first frame, with the observed velocity v_s.
+            covariance: of (x, v_s) [4K, 4K]; None: the velocity's is σ_s², that of two frames.
             u: the input at that frame.
         """
         law, (x, v) = dynamics.law, state.coordinates
         assert isinstance(law, ConstrainedLagrangian)
-        off = v - self.elapsed * law.acceleration(x, jnp.zeros_like(v), u)
-        variance = self.observation**2 + self.spread**2
+        dim = x.shape[0]
+        off = v - self.elapsed * law.acceleration(x, jnp.zeros_like(x), u)
+        if covariance is None:
+            observed, mixed = self.observation**2, jnp.zeros((dim, dim))
+        else:
+            observed, mixed = jnp.trace(covariance[dim:, dim:]) / law.freedom, covariance[:dim, dim:]
+        variance = observed + self.spread**2
         far = (off @ off) / variance
         odds = (v @ v) / self.speed**2 + law.freedom * jnp.log(self.speed**2 / variance)
         odds = (odds - (_TAIL + law.freedom) * jnp.log1p(far / _TAIL)) / 2
-        error = (_TAIL + far) / (_TAIL + law.freedom) * self.observation**2
+        error = (_TAIL + far) / (_TAIL + law.freedom) * observed
         pull = jax.nn.sigmoid(odds) * error / (error + self.spread**2)
-        return State(Motion(x, v - pull * off), state.parameters)
+        carried = jnp.matmul(mixed, off, precision="highest") / (observed + 1e-12)
+        return State(Motion(x - pull * carried, v - pull * off), state.parameters)

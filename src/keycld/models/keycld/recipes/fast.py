@@ -2,7 +2,7 @@
 
 import dataclasses
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from keycld.models.config import at_least_one
 from keycld.models.keycld.config import MODELS, KeyCLDConfig
@@ -45,7 +45,7 @@ class VisionStage:
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsStage:
-    """Dynamics alone: roll-outs on cached keypoints."""
+    """Dynamics alone; the settings are for NODE2, which has no Lagrangian to identify: roll-outs on cached keypoints."""
 
     steps: int = 600
     """Optimiser steps."""
@@ -104,11 +104,15 @@ class FastConfig(KeyCLDConfig):
     """The default preset: vision first, then dynamics, then both together; minutes on two CPU cores.
 
     1. `vision`: single frames.
-    2. `dynamics`: roll-outs on cached keypoints.
-    3. `joint`: all parts together, over growing horizons; at its begin and every 400 steps a least-squares fit of the
-       dynamics to whole trajectories.
+    2. `dynamics`: no steps; identifies the forces that act, and their strength, from the keypoints of whole recordings.
+    3. `joint`: all parts together, over growing horizons; every 400 steps a least-squares fit of the dynamics to whole
+       recordings.
     4. `prior`: no steps; fits once more and measures the velocity prior. Then the validation score.
     """
+
+    RENAMED: ClassVar[dict[str, str]] = KeyCLDConfig.RENAMED | {
+        "dynamics.law.potential.perceptron.": "dynamics.law.potential.terms.perceptron-32.perceptron.",
+    }
 
     width: int = 16
     """Channels of the networks at half resolution."""
@@ -120,16 +124,15 @@ class FastConfig(KeyCLDConfig):
     """RATTLE steps for each frame."""
     coupled_masses: bool = True
     """A full mass matrix between keypoints, for links with distributed mass, instead of the diagonal of eq. (14)."""
-    potential_width: int = 0
-    """Width of a perceptron in V. 0: V is affine, and training adds a perceptron where the motion needs one."""
+    terms: tuple[str, ...] | None = None
+    """Kinds of forces besides an affine V: springs, pairs, anchors, perceptron, viscous, joints, coulomb, drag; by
+    default those that the motion asks for."""
     input_width: int = 0
     """Width of a perceptron in g. 0: g is affine."""
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
-    given: int = 2
-    """Given frames of a prediction; 3 in the 2024 protocol."""
     groups: int = 4
-    """Groups of consecutive frames in a clip, each of `given` frames."""
+    """Pairs of consecutive frames in a clip."""
     first_frames: float = 0.5
     """Share of the clips that contain the first frames of a trajectory."""
     vision: VisionStage = VisionStage()
@@ -142,31 +145,32 @@ class FastConfig(KeyCLDConfig):
     def __post_init__(self) -> None:
         """Refuse counts below one."""
         super().__post_init__()
-        at_least_one(self, "stride", "substeps", "groups", "given")
+        at_least_one(self, "stride", "substeps", "groups")
         at_least_one(self.vision, "candidates", "trial", "batch")
         at_least_one(self.dynamics, "batch")
         at_least_one(self.joint, "batch", "fit_every")
 
     @property
     def context(self) -> int:
-        """The number of given frames."""
-        return self.given
+        """Two; more given frames make better predictions."""
+        return 2
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
         """Return settings of schema 1, which were flat, and of schema 2, which had two joint stages and perceptrons."""
         if version == 1:
             settings = {_FLAT.get(name, name): value for name, value in settings.items()}
-        gone = ("long", "joint_steps", "joint_horizons", "long_steps", "long_horizons")
+        gone = ("given", "long", "joint_steps", "joint_horizons", "long_steps", "long_horizons")
         kept = {name: value for name, value in settings.items() if name not in gone}
         # The one joint stage keeps the preset's own steps and horizons: those of the two do not fit it.
         joint = {name: value for name, value in kept.get("joint", {}).items() if name not in ("steps", "horizons")}
-        return kept | ({"joint": joint} if joint else {}) | {"potential_width": 32, "input_width": 32}
+        return kept | ({"joint": joint} if joint else {}) | {"terms": ["perceptron-32"], "input_width": 32}
 
     def matching(self, model: "AbstractModel") -> "FastConfig":
-        """Return the config with the width of the perceptron in the model's V, which training may have added."""
+        """Return the config with the terms of the model's V and R, which training may have found."""
         from keycld.models.keycld import light
 
-        return dataclasses.replace(self, potential_width=light.potential_width(model))
+        kinds = light.kinds(model)
+        return self if kinds is None else dataclasses.replace(self, terms=kinds)
 
     def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractKeypointModel":
         """Build KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE."""

@@ -1,0 +1,1 @@
+"""Terms of the potential energy and of the dissipation function, one file a kind."""

@@ -1,0 +1,47 @@
+"""Forces between two keypoints along the line through them."""
+
+from typing import Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PRNGKeyArray
+
+from keycld.mechanics.constraints import AbstractConstraint
+from keycld.mechanics.force import AbstractPotentialTerm, register_term
+
+_CLOSE = 0.02
+"""Distance, image-plane units, below which r is rounded off: r = √(|d|² + ε²)."""
+
+
+@register_term
+class PairForces(AbstractPotentialTerm):
+    """V = Σ_{i<j} a r + b log r + c / r with r = |xᵢ − xⱼ|: rest lengths of springs, attraction, repulsion.
+
+    Attributes:
+        strength: (a, b, c) of each pair [pairs, 3].
+        first: indices i of the pairs.
+        second: indices j.
+    """
+
+    kind = "pairs"
+    meaning = "forces along the line through two keypoints"
+
+    strength: Float[Array, "pairs 3"]
+    first: tuple[int, ...] = eqx.field(static=True)
+    second: tuple[int, ...] = eqx.field(static=True)
+
+    @classmethod
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self | None:
+        """Return no force; None for a single keypoint."""
+        first, second = np.triu_indices(constraint.dimension // 2, 1)
+        if not first.size:
+            return None
+        return cls(jnp.zeros((first.size, 3)), tuple(first.tolist()), tuple(second.tolist()))
+
+    def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
+        """Return the sum over all pairs."""
+        points = x.reshape(-1, 2)
+        apart = points[jnp.array(self.first)] - points[jnp.array(self.second)]
+        r = jnp.sqrt(jnp.sum(apart**2, axis=1) + _CLOSE**2)
+        return jnp.sum(self.strength * jnp.stack([r, jnp.log(r), 1 / r], axis=1))

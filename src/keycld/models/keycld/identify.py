@@ -1,0 +1,191 @@
+"""Identification of the law of motion from observed keypoints: which forces act, and how strong they are."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Fitted,
+    MechanicalDynamics,
+    Motion,
+    fit_motions,
+    regress_forces,
+    term_kinds,
+    terms_of,
+    with_kinds,
+    with_terms,
+)
+
+# A term stays if without it the cost of the fit would rise by this share.
+_WORTH = 0.05
+_LAST_RESORT = "perceptron"
+# Compiled once for each structure of the law.
+_fit = eqx.filter_jit(fit_motions)
+
+
+@dataclasses.dataclass(frozen=True)
+class Identified:
+    """The result of `identify`.
+
+    Attributes:
+        dynamics: with the terms that the motion asks for, fitted.
+        rms: error of the fitted paths, image-plane units.
+        worth: for each term that was tried, the share by which the cost would rise without it.
+    """
+
+    dynamics: MechanicalDynamics
+    rms: float
+    worth: dict[str, float]
+
+
+def identify(
+    dynamics: MechanicalDynamics,
+    x: jax.Array,
+    u: jax.Array,
+    dt: jax.Array,
+    constants: jax.Array | None,
+    *,
+    pixel: float,
+    terms: tuple[str, ...] | None = None,
+) -> Identified:
+    """Find the terms of V and R that act, their parameters, masses and input matrix, from observed keypoints.
+
+    All terms are fitted together, first by regression of accelerations (`regress_forces`), then through the dynamics to
+    a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the cost would hardly rise
+    without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term, all others eliminated.
+    The weakest goes first, and the others take over what they can. If what is left explains the recordings badly, a
+    potential energy of free form is added.
+
+    Args:
+        dynamics: V affine; its parameters do not matter.
+        x: observed keypoints `[N, T, 2K]`.
+        u: inputs.
+        dt: seconds between frames.
+        constants: values of Φ that all recordings share.
+        pixel: size of a pixel, image-plane units.
+        terms: kinds of the terms; None: those that the motion asks for.
+    """
+    law = dynamics.law
+    assert isinstance(law, ConstrainedLagrangian)
+    kinds = tuple(kind for kind, term in term_kinds().items() if term.tried) if terms is None else terms
+    law = with_kinds(_affine(law), kinds, key=jax.random.key(0))
+    law = regress_forces(law, _free(law), x, u, dt)
+    dynamics = eqx.tree_at(lambda d: d.law, dynamics, law)
+    length, fitted = x.shape[1], None
+    for frames, iterations in ((length // 4, 8), (length // 2, 8), (length, 30)):
+        fitted = _fitted(dynamics, x, u, dt, constants, None if fitted is None else fitted.initial, frames, iterations)
+        dynamics = fitted.dynamics
+    assert fitted is not None
+    if terms is not None:
+        return Identified(dynamics, float(fitted.rms), {})
+    kept, worth = _selected(fitted)
+    pruned = with_terms(dynamics.law, {kind: term for kind, term in terms_of(dynamics.law).items() if kind in kept})
+    dynamics = eqx.tree_at(lambda d: d.law, dynamics, pruned)
+    fitted = _fitted(dynamics, x, u, dt, constants, fitted.initial)
+    if fitted.rms > 0.3 * pixel:
+        grown = with_kinds(fitted.dynamics.law, (_LAST_RESORT,), key=jax.random.key(0))
+        more = _fitted(eqx.tree_at(lambda d: d.law, dynamics, grown), x, u, dt, constants, fitted.initial)
+        worth[_LAST_RESORT] = float((fitted.cost - more.cost) / more.cost)
+        if more.rms < 0.75 * fitted.rms:
+            fitted = more
+    return Identified(fitted.dynamics, float(fitted.rms), worth)
+
+
+def refit(
+    dynamics: MechanicalDynamics, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None
+) -> Fitted:
+    """Fit the parameters of the dynamics to these keypoints; the terms stay."""
+    return _fitted(dynamics, x, u, dt, constants)
+
+
+def _fitted(
+    dynamics: MechanicalDynamics,
+    x: jax.Array,
+    u: jax.Array,
+    dt: jax.Array,
+    constants: jax.Array | None,
+    initial: Motion | None = None,
+    frames: int | None = None,
+    iterations: int = 30,
+) -> Fitted:
+    count = x.shape[1] if frames is None else frames
+    free = _free(dynamics)
+    return _fit(
+        dynamics,
+        free,
+        x,
+        u,
+        dt,
+        constants=constants,
+        initial=initial,
+        frames=jnp.array(count),
+        iterations=jnp.array(iterations),
+    )
+
+
+def _affine(law: ConstrainedLagrangian) -> ConstrainedLagrangian:
+    """Return the law with V = 0, R = 0 and g = 0, all affine."""
+    zero = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, law)
+    return with_terms(eqx.tree_at(lambda law: law.mass, zero, law.mass), {})
+
+
+def _free(dynamics: Any) -> Any:
+    """Return which leaves are fitted: all but the perceptron of g, which has thousands of weights and little to say."""
+
+    def free(path: Any, leaf: Any) -> bool:
+        return eqx.is_inexact_array(leaf) and "input_matrix.perceptron" not in jax.tree_util.keystr(path)
+
+    return jax.tree_util.tree_map_with_path(free, dynamics)
+
+
+def _selected(fitted: Fitted) -> tuple[set[str], dict[str, float]]:
+    """Return the kinds of the terms that are worth their parameters, and the worth of each when it was judged last."""
+    parameters = eqx.filter(fitted.dynamics, _free(fitted.dynamics))
+    theta, owner, counts = [], [], []
+    kinds = terms_of(fitted.dynamics.law)
+    for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
+        name = jax.tree_util.keystr(path)
+        kind = next((kind for kind in kinds if f"terms['{kind}']" in name), None)
+        theta.append(np.asarray(leaf, float).ravel())
+        owner += [kind] * leaf.size
+        counts += [kind is None or name.rsplit(".", 1)[-1] not in kinds[kind].nonlinear] * leaf.size
+    flat, owners, linear = np.concatenate(theta), np.array(owner, object), np.array(counts)
+    curvature = np.asarray(fitted.curvature, float)
+    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
+    curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
+    kept, worth = set(kinds), {}
+    while kept:
+        rises = {kind: _rise(curvature, flat, linear & (owners == kind), _others(owners, kept, kind)) for kind in kept}
+        weakest = min(rises, key=lambda kind: rises[kind])
+        worth |= {kind: rise / float(fitted.cost) for kind, rise in rises.items()}
+        if worth[weakest] > _WORTH:
+            break
+        kept.remove(weakest)
+        # What the others take over.
+        flat = _without(curvature, flat, linear & (owners == weakest), _others(owners, kept, weakest))
+    return kept, worth
+
+
+def _others(owners: np.ndarray, kept: set[str], kind: str) -> np.ndarray:
+    return np.array([owner is None or (owner in kept and owner != kind) for owner in owners])
+
+
+def _rise(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> float:
+    """Return by how much the cost rises if a group of parameters becomes zero and the others follow."""
+    mixed = curvature[np.ix_(group, others)]
+    follow = np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-6, hermitian=True)
+    schur = curvature[np.ix_(group, group)] - mixed @ follow @ mixed.T
+    return max(0.0, 0.5 * float(theta[group] @ schur @ theta[group]))
+
+
+def _without(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> np.ndarray:
+    follow = np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-6, hermitian=True)
+    theta = theta.copy()
+    theta[others] += follow @ curvature[np.ix_(others, group)] @ theta[group]
+    theta[group] = 0.0
+    return theta
