@@ -32,7 +32,8 @@ def make(
     Args:
         system: pendulum, cartpole or acrobot, or one of the zoo such as zoo/four_bar (docs/systems.md has all twelve),
             rendered by MuJoCo; or a set of "Which priors matter?" such as toy/pendulum_colors, games/matching_pennies,
-            md/lj_16 or room/circle (docs/datasets.md has all 17). Interrupted work is resumed; finished data stay as they are.
+            md/lj_16 or room/circle (docs/datasets.md has all 17). Interrupted work is resumed; finished data stay as
+            they are.
         out: Folder; data/SYSTEM by default.
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); zoo for the zoo; for toy sets
             priors-released (the configurations behind the published scores) or priors-paper (the text, where it

@@ -29,10 +29,9 @@ class AbstractZooSystem(AbstractWatchedMechanism):
     """A mechanism in MuJoCo with coordinates q `[n]` and velocities v `[n]`; its state is (q, v).
 
     M(q) q̈ + c(q, q̇) = τ(q, q̇) + G u: MuJoCo gives q̈ from the model, with its springs and dampers, and `force` adds
-    what MuJoCo does not know. The motion is integrated by the classical Runge–Kutta method with `substeps` steps a frame,
-    so states are those of the equation to about 1e-6. Frame k shows the state k + 1 frames after the initial one.
-    Initial states are anywhere in motion: positions and velocities uniform in their ranges, taken again until the
-    energy is in its range.
+    what MuJoCo does not know. The motion is integrated by the classical Runge–Kutta method with `substeps` steps a
+    frame. Frame k shows the state k + 1 frames after the initial one. Initial states are anywhere in motion: positions
+    and velocities uniform in their ranges, sampled again until the energy is in its range.
 
     Attributes:
         mjcf: the model; camera 0 is the one that is rendered, and the geom that shows a keypoint has its name.
@@ -66,13 +65,9 @@ class AbstractZooSystem(AbstractWatchedMechanism):
         """Return the potential energy of `force`, joules; 0 by default."""
         return 0.0
 
-    def joints(self, q: np.ndarray) -> np.ndarray:
-        """Return the positions of the model's joints for coordinates `[n]`; the same by default."""
-        return q
-
-    def joint_velocities(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return the velocities of the model's joints; the same by default."""
-        return v
+    def joints(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions and velocities of the model's joints for coordinates and velocities; these by default."""
+        return q, v
 
     def acceleration(self, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return q̈ `[n]`; `data` holds the joints' positions, velocities and inputs."""
@@ -88,7 +83,7 @@ class AbstractZooSystem(AbstractWatchedMechanism):
 
         def derivative(y: np.ndarray) -> np.ndarray:
             q, v = y[:n], y[n:]
-            data.qpos[:], data.qvel[:] = self.joints(q), self.joint_velocities(q, v)
+            data.qpos[:], data.qvel[:] = self.joints(q, v)
             return np.concatenate([v, self.acceleration(model, data, q, v)])
 
         inputs = np.broadcast_to(u, (frames, len(self.input_names)))
@@ -108,7 +103,7 @@ class AbstractZooSystem(AbstractWatchedMechanism):
         n = len(self.state_names) // 2
         kinetic, potential = np.empty(len(state)), np.empty(len(state))
         for k, (q, v) in enumerate(zip(state[:, :n], state[:, n:], strict=True)):
-            data.qpos[:], data.qvel[:] = self.joints(q), self.joint_velocities(q, v)
+            data.qpos[:], data.qvel[:] = self.joints(q, v)
             import_mujoco().mj_forward(model, data)
             potential[k], kinetic[k] = data.energy[0] + self.potential(q), data.energy[1]
         return kinetic, potential
@@ -151,7 +146,7 @@ class _Renderer(MujocoRenderer):
         self._system = system
 
     def render(self, state: np.ndarray) -> np.ndarray:
-        return super().render(self._system.joints(state[: len(state) // 2]))
+        return super().render(self._system.joints(*np.split(state, 2))[0])
 
 
 def _runge_kutta(derivative: Callable[[np.ndarray], np.ndarray], y: np.ndarray, step: float) -> np.ndarray:

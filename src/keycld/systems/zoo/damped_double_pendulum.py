@@ -19,7 +19,7 @@ class DampedDoublePendulum(AbstractZooSystem):
 
     Absolute angles α = θ₁, β = θ₁ + θ₂: T = (m₁ |ṙ₁|² + m₂ |ṙ₂|² + I₁ α̇² + I₂ β̇²) / 2, V = g (m₁ z₁ + m₂ z₂),
     r₁ = l₁ (sin α, cos α), r₂ = r₁ + l₂ (sin β, cos β). m₁ = 1 kg, m₂ = 0.6 kg, l₁ = 0.6 m, l₂ = 0.5 m,
-    Iᵢ = 2/5 mᵢ ρᵢ² of spheres with ρ = 0.13 and 0.11 m, g = 9.81 m/s², d = 0.06 N m s in both hinges. State: θ₁ in rad
+    Iᵢ = 2/5 mᵢ ρᵢ² of spheres with ρ = 0.13 and 0.11 m, g = 9.81 m/s², d = 0.04 N m s in both hinges. State: θ₁ in rad
     (0 upright, positive to the right), θ₂ relative to the upper rod, their velocities; input: u in N m before the gear
     of 0.5. Two keypoints, the bobs: fixed distances pivot–first and first–second. Chaotic.
     """
@@ -48,11 +48,11 @@ class DampedDoublePendulum(AbstractZooSystem):
         <geom type="plane" size="8 8 .1" pos="0 0 -1.35" material="floor"/>
         <geom type="cylinder" fromto="0 -.06 0 0 .06 0" size=".05" rgba=".2 .2 .2 1"/>
         <body>
-          <joint name="shoulder" type="hinge" axis="0 1 0" damping=".06"/>
+          <joint name="shoulder" type="hinge" axis="0 1 0" damping=".04"/>
           <geom type="capsule" fromto="0 0 0 0 0 .6" size=".03" mass="0" rgba=".2 .2 .2 1"/>
           <geom name="upper" type="sphere" pos="0 0 .6" size=".13" mass="1" rgba=".1 .35 .8 1"/>
           <body pos="0 0 .6">
-            <joint name="elbow" type="hinge" axis="0 1 0" damping=".06"/>
+            <joint name="elbow" type="hinge" axis="0 1 0" damping=".04"/>
             <geom type="capsule" fromto="0 0 0 0 0 .5" size=".03" mass="0" rgba=".2 .2 .2 1"/>
             <geom name="lower" type="sphere" pos="0 0 .5" size=".11" mass=".6" rgba=".05 .6 .2 1"/>
           </body>

@@ -17,7 +17,7 @@ LENGTH = 0.8
 class DampedPendulum(AbstractZooSystem):
     """(m l² + I) θ̈ = m g l sin θ − c θ̇ with a massless rod of l = 0.8 m; E falls by c θ̇² joules a second.
 
-    m = 1 kg, I = 2/5 m r² of a sphere with r = 0.14 m, g = 9.81 m/s², c = 0.15 N m s. State: θ in rad (0 upright,
+    m = 1 kg, I = 2/5 m r² of a sphere with r = 0.14 m, g = 9.81 m/s², c = 0.1 N m s. State: θ in rad (0 upright,
     positive to the right), θ̇ in rad/s. One keypoint, the bob, at a fixed distance from the pivot, which is 0.15 m right
     of the image centre. Some recordings begin with a turn over the top.
     """
@@ -31,7 +31,7 @@ class DampedPendulum(AbstractZooSystem):
     mjcf = """
     <mujoco>
       <option><flag contact="disable" energy="enable"/></option>
-      <visual><headlight ambient=".5 .5 .5" diffuse=".4 .4 .4"/><map znear=".01"/></visual>
+      <visual><headlight ambient=".4 .4 .4" diffuse=".25 .25 .25"/><map znear=".01"/></visual>
       <statistic extent="3"/>
       <asset>
         <texture name="sky" type="skybox" builtin="flat" rgb1=".5 .7 .6" rgb2=".5 .7 .6" width="32" height="32"/>
@@ -44,7 +44,7 @@ class DampedPendulum(AbstractZooSystem):
         <geom type="plane" size="4 4 .1" pos="0 .35 0" zaxis="0 -1 0" material="wall"/>
         <geom type="cylinder" fromto="0 -.06 0 0 .3 0" size=".05" rgba=".2 .2 .2 1"/>
         <body>
-          <joint type="hinge" axis="0 1 0" damping=".15"/>
+          <joint type="hinge" axis="0 1 0" damping=".1"/>
           <geom type="capsule" fromto="0 0 0 0 0 .8" size=".025" mass="0" rgba=".25 .2 .2 1"/>
           <geom name="bob" type="sphere" pos="0 0 .8" size=".14" mass="1" rgba=".75 .1 .35 1"/>
         </body>

@@ -1,6 +1,6 @@
 """A four-bar linkage: crank, coupler and rocker."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -20,13 +20,13 @@ POINT = (0.5, 0.35)
 class FourBar(AbstractLoop):
     """J(θ) θ̈ + J'(θ) θ̇² / 2 = −V'(θ) with θ the crank's angle: L = J(θ) θ̇² / 2 − V(θ).
 
-    Crank (0.35 m) and rocker (0.7 m) turn around pivots 1 m apart; a coupler of 1 m joins their ends, with the rocker's
-    end above the line from the crank's end to the rocker's pivot. The coupler is a triangle: its third point lies 0.5 m
-    along it and 0.35 m above it. Spheres at the crank's end (0.5 kg), at the third point (0.3 kg) and at the rocker's end
+    Crank (0.35 m) and rocker (0.7 m) turn around pivots 1 m apart. A coupler of 1 m joins their ends; the rocker's end
+    is above the line from the crank's end to the rocker's pivot. The coupler is a triangle: its third point lies 0.5 m
+    along it and 0.35 m above it. Spheres at the crank's end (0.5 kg), the third point (0.3 kg) and the rocker's end
     (0.5 kg), with radii 0.12, 0.1, 0.12 m and Iᵢ = 2/5 mᵢ ρᵢ², carry all mass and turn with crank, coupler and rocker:
-    J = Σ mᵢ |rᵢ'|² + Iᵢ φᵢ'², V = g Σ mᵢ zᵢ, g = 9.81 m/s²; no friction. The crank can turn all the way round (Grashof).
-    State: θ in rad (0 upright, positive to the right), θ̇ in rad/s. Three keypoints, the spheres: two distances from
-    pivots, three within the coupler.
+    J = Σ mᵢ |rᵢ'|² + Iᵢ φᵢ'², V = g Σ mᵢ zᵢ, g = 9.81 m/s²; no friction. The crank can turn all the way round
+    (Grashof). State: θ in rad (0 upright, positive to the right), θ̇ in rad/s. Three keypoints, the spheres: two
+    distances from pivots, three within the coupler.
     """
 
     name = "zoo/four_bar"
@@ -89,33 +89,36 @@ class FourBar(AbstractLoop):
 
     def places(self, q: np.ndarray) -> np.ndarray:
         """Return the centres of the spheres at the crank's end, at the coupler's point and at the rocker's end."""
-        crank = PIVOTS[0] + CRANK * np.stack([np.sin(q[..., 0]), np.cos(q[..., 0])], axis=-1)
-        gap = PIVOTS[1] - crank
-        distance = np.linalg.norm(gap, axis=-1, keepdims=True)
-        along = (COUPLER**2 - ROCKER**2 + distance**2) / (2 * distance)
-        gap /= distance
-        rocker = crank + along * gap + np.sqrt(COUPLER**2 - along**2) * _left(gap)
-        coupler = (rocker - crank) / COUPLER
-        point = crank + POINT[0] * coupler + POINT[1] * _left(coupler)
-        return np.stack([crank, point, rocker], axis=-2)
+        crank, coupler, rocker = _links(q[..., 0])
+        point = crank + (POINT[0] + 1j * POINT[1]) * coupler / COUPLER
+        spheres = np.stack([PIVOTS[0, 0] + crank, PIVOTS[0, 0] + point, PIVOTS[1, 0] + rocker], axis=-1)
+        return np.stack([spheres.real, spheres.imag], axis=-1)
 
     def follow(self, angle: float) -> Joints:
         """Return the angles of crank, coupler (relative) and rocker, from the closed loop and its derivatives."""
-        crank, _, rocker = self.places(np.array([angle]))
-        arms = np.stack([crank - PIVOTS[0], rocker - crank, rocker - PIVOTS[1]])
-        # An arm (x, z) at the angle φ from upright has the derivatives (z, −x) and −(x, z) in φ.
-        first, coupler, last = arms @ np.array([[0.0, -1.0], [1.0, 0.0]])
-        both = np.stack([coupler, -last], axis=-1)
-        slope = np.linalg.solve(both, -first)
-        curvature = np.linalg.solve(both, arms[0] + arms[1] * slope[0] ** 2 - arms[2] * slope[1] ** 2)
-        _, middle, end = np.arctan2(arms[:, 0], arms[:, 1])
+        crank, coupler, rocker = _links(angle)
+
+        def solved(right: complex) -> tuple[float, float]:
+            """Solve coupler β − rocker γ = right for real β and γ."""
+            area = (coupler * rocker.conjugate()).imag
+            return (right * rocker.conjugate()).imag / area, (right * coupler.conjugate()).imag / area
+
+        # A link at the angle φ from upright is i |link| exp(−iφ): its derivatives in φ are −i and −1 times itself.
+        middle, end = solved(-crank)
+        middle_curvature, end_curvature = solved(1j * (crank + coupler * middle**2 - rocker * end**2))
+        angles = np.angle(1j / np.array([coupler, rocker]))
         return Joints(
-            np.array([angle, middle - angle, end]),
-            np.array([1.0, slope[0] - 1.0, slope[1]]),
-            np.array([0.0, curvature[0], curvature[1]]),
+            np.array([angle, angles[0] - angle, angles[1]]),
+            np.array([1.0, middle - 1.0, end]),
+            np.array([0.0, middle_curvature, end_curvature]),
         )
 
 
-def _left(vector: np.ndarray) -> np.ndarray:
-    """Return (x, z) turned by a right angle to the left, `[..., 2]`."""
-    return np.stack([-vector[..., 1], vector[..., 0]], axis=-1)
+def _links(angle: Any) -> tuple[Any, Any, Any]:
+    """Return crank, coupler and rocker as complex numbers x + i z for angles of the crank."""
+    crank = 1j * CRANK * np.exp(-1j * angle)
+    gap = PIVOTS[1, 0] - PIVOTS[0, 0] - crank
+    distance = np.abs(gap)
+    along = (COUPLER**2 - ROCKER**2 + distance**2) / (2 * distance)
+    coupler = (along + 1j * np.sqrt(COUPLER**2 - along**2)) * gap / distance
+    return crank, coupler, coupler - gap

@@ -34,13 +34,10 @@ class AbstractLoop(AbstractZooSystem):
     def follow(self, angle: float) -> Joints:
         """Return the joints that belong to the angle of the crank, radians."""
 
-    def joints(self, q: np.ndarray) -> np.ndarray:
-        """Return J(θ)."""
-        return self.follow(q[0]).position
-
-    def joint_velocities(self, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return J'(θ) θ̇."""
-        return self.follow(q[0]).slope * v
+    def joints(self, q: np.ndarray, v: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return J(θ) and J'(θ) θ̇."""
+        position, slope, _ = self.follow(q[0])
+        return position, slope * v
 
     def acceleration(self, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return θ̈ `[1]` from the accelerations of the open chain, M⁻¹ f."""

@@ -18,9 +18,9 @@ class SliderCrank(AbstractLoop):
     """J(θ) θ̈ + J'(θ) θ̇² / 2 = −V'(θ) with θ the crank's angle: L = J(θ) θ̇² / 2 − V(θ).
 
     The crank (r = 0.35 m, massless) turns around a pivot at the height of the slider and carries a pin of 0.5 kg with
-    inertia 0.0024 kg m². A uniform rod (l = 0.9 m, 0.2 kg, inertia 0.0135 kg m²) joins the pin to a slider of 1 kg on a
-    horizontal line. The rod's angle β has cos β = −(r / l) cos θ, sin β > 0. J = Σ mᵢ |rᵢ'|² + Iᵢ φᵢ'² over pin, rod and
-    slider, V = g (0.5 z_pin + 0.2 z_rod), g = 9.81 m/s²; no friction. State: θ in rad (0 upright, positive to the
+    inertia 0.0024 kg m². A uniform rod (l = 0.9 m, 0.2 kg, inertia 0.0135 kg m²) joins the pin to a slider of 1 kg on
+    a horizontal line. The rod's angle β has cos β = −(r / l) cos θ, sin β > 0. J = Σ mᵢ |rᵢ'|² + Iᵢ φᵢ'² over pin, rod
+    and slider, V = g (0.5 z_pin + 0.2 z_rod), g = 9.81 m/s²; no friction. State: θ in rad (0 upright, positive to the
     right), θ̇ in rad/s. Two keypoints, pin and slider: distances pivot–pin and pin–slider, slider on a line.
     """
 

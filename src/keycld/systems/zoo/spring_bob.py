@@ -29,7 +29,7 @@ class SpringBob(AbstractZooSystem):
     mjcf = """
     <mujoco>
       <option><flag contact="disable" energy="enable"/></option>
-      <visual><headlight ambient=".35 .35 .35" diffuse=".5 .5 .5"/><map znear=".01"/></visual>
+      <visual><headlight ambient=".35 .35 .35" diffuse=".25 .25 .25"/><map znear=".01"/></visual>
       <statistic extent="3"/>
       <asset>
         <texture name="sky" type="skybox" builtin="flat" rgb1=".9 .9 .85" rgb2=".9 .9 .85" width="32" height="32"/>
@@ -37,7 +37,7 @@ class SpringBob(AbstractZooSystem):
         <material name="wall" texture="wall"/>
       </asset>
       <worldbody>
-        <light pos="-1 -2.5 2" dir=".5 1 -.6" diffuse=".5 .5 .5"/>
+        <light pos="-1 -2.5 2" dir=".5 1 -.6" diffuse=".4 .4 .4"/>
         <camera pos=".35 -3 -.25" zaxis="0 -1 0"/>
         <geom type="plane" size="2.5 2.5 .1" pos=".35 .45 -.25" zaxis="0 -1 0" material="wall"/>
         <geom type="box" size=".3 .1 .05" pos="0 0 .75" rgba=".4 .25 .15 1"/>

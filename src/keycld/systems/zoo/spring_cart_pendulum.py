@@ -17,10 +17,10 @@ LENGTH = 0.55
 class SpringCartPendulum(AbstractZooSystem):
     """L = (M + m) ṡ² / 2 + m l ṡ θ̇ cos θ + (m l² + I) θ̇² / 2 − k s² − m g l cos θ, without friction.
 
-    Cart M = 1 kg between two springs of k = 5 N/m each, bob m = 0.3 kg on a massless rod of l = 0.55 m, I = 2/5 m ρ² of a
-    sphere with ρ = 0.13 m, g = 9.81 m/s². State: s in m (0 in the middle, positive to the right), θ in rad (0 upright,
-    positive to the right), their velocities. Two keypoints: the cart on a horizontal line, the bob at a fixed distance
-    from it.
+    Cart M = 1 kg between two springs of k = 5 N/m each, relaxed in the middle; bob m = 0.3 kg on a massless rod of
+    l = 0.55 m, I = 2/5 m ρ² of a sphere with ρ = 0.13 m, g = 9.81 m/s². State: s in m (0 in the middle, positive to the
+    right), θ in rad (0 upright, positive to the right), their velocities. Two keypoints: the cart on a horizontal line,
+    the bob at a fixed distance from it.
     """
 
     name = "zoo/spring_cart_pendulum"
@@ -59,10 +59,10 @@ class SpringCartPendulum(AbstractZooSystem):
         </body>
       </worldbody>
       <tendon>
-        <spatial stiffness="5" springlength=".8" width=".02" rgba=".95 .95 .95 1">
+        <spatial stiffness="5" springlength="1.35" width=".02" rgba=".95 .95 .95 1">
           <site site="left"/><site site="middle"/>
         </spatial>
-        <spatial stiffness="5" springlength=".8" width=".02" rgba=".95 .95 .95 1">
+        <spatial stiffness="5" springlength="1.35" width=".02" rgba=".95 .95 .95 1">
           <site site="middle"/><site site="right"/>
         </spatial>
       </tendon>

@@ -12,16 +12,17 @@ if TYPE_CHECKING:
 
 TILT = np.radians(20.0)
 DOWNHILL = np.array([np.cos(TILT), -np.sin(TILT)])
-DRY, SOFTNESS = 0.1, 0.05
+DRY, SOFTNESS = 0.06, 0.05
 
 
 @register
 class TiltedBead(AbstractZooSystem):
     """m s̈ = m g sin α − k s − c ṡ − f tanh(ṡ / w): Coulomb friction f, softened below w.
 
-    m = 0.5 kg, g = 9.81 m/s², α = 20° downward to the right, k = 6 N/m, c = 0.1 N s/m, f = 0.1 N (friction coefficient 0.022),
+    m = 0.5 kg, g = 9.81 m/s², α = 20° downward to the right, k = 6 N/m, c = 0.08 N s/m, f = 0.06 N (coefficient 0.013),
     w = 0.05 m/s. V = k s² / 2 − m g sin α s; E falls by c ṡ² + f ṡ tanh(ṡ / w) watts. It comes to rest near s = 0.28 m.
-    State: s in m (0 where the spring is relaxed, positive downhill), ṡ in m/s. One keypoint, the bead, on a tilted line.
+    State: s in m (0 where the spring is relaxed, positive downhill), ṡ in m/s. One keypoint, the bead, on a tilted
+    line.
     """
 
     name = "zoo/tilted_bead"
@@ -33,7 +34,7 @@ class TiltedBead(AbstractZooSystem):
     mjcf = """
     <mujoco>
       <option><flag contact="disable" energy="enable"/></option>
-      <visual><headlight ambient=".4 .4 .4" diffuse=".5 .5 .5"/><map znear=".01"/></visual>
+      <visual><headlight ambient=".4 .4 .4" diffuse=".25 .25 .25"/><map znear=".01"/></visual>
       <statistic extent="3"/>
       <asset>
         <texture name="sky" type="skybox" builtin="flat" rgb1=".8 .65 .7" rgb2=".8 .65 .7" width="32" height="32"/>
@@ -45,11 +46,11 @@ class TiltedBead(AbstractZooSystem):
         <camera pos=".1 -2.8 -.15" zaxis="0 -1 0"/>
         <geom type="plane" size="5 5 .1" pos="0 .3 0" zaxis="0 -1 0" material="wall"/>
         <body euler="0 20 0">
-          <geom type="box" size="1.05 .08 .025" pos=".15 .08 -.19" rgba=".3 .25 .3 1"/>
-          <geom type="box" size=".03 .08 .2" pos="-.82 .08 -.02" rgba=".3 .25 .3 1"/>
+          <geom type="box" size="1.05 .08 .025" pos=".15 .08 -.19" mass="0" rgba=".3 .25 .3 1"/>
+          <geom type="box" size=".03 .08 .2" pos="-.82 .08 -.02" mass="0" rgba=".3 .25 .3 1"/>
           <site name="post" pos="-.8 0 0" size=".01"/>
           <body>
-            <joint type="slide" axis="1 0 0" damping=".1"/>
+            <joint type="slide" axis="1 0 0" damping=".08"/>
             <geom name="bead" type="sphere" size=".16" mass=".5" rgba=".05 .5 .5 1"/>
             <site name="bead" size=".01"/>
           </body>

@@ -17,9 +17,10 @@ LENGTH = 0.42
 class TriplePendulum(AbstractZooSystem):
     """Three bobs on massless rods in a chain: L = Σ (m |ṙᵢ|² + I φ̇ᵢ²) / 2 − m g zᵢ.
 
-    Absolute angles φᵢ = θ₁ + … + θᵢ, rᵢ = rᵢ₋₁ + l (sin φᵢ, cos φᵢ), r₀ = 0. m = 0.5 kg, l = 0.42 m, I = 2/5 m ρ² of spheres
-    with ρ = 0.11 m, g = 9.81 m/s². State: θ₁ in rad (0 upright, positive to the right), θ₂ and θ₃ relative to the rods
-    before, their velocities. Three keypoints, the bobs: fixed distances pivot–first, first–second, second–third. Chaotic.
+    Absolute angles φᵢ = θ₁ + … + θᵢ, rᵢ = rᵢ₋₁ + l (sin φᵢ, cos φᵢ), r₀ = 0. m = 0.5 kg, l = 0.42 m, I = 2/5 m ρ² of
+    spheres with ρ = 0.13 m, g = 9.81 m/s². State: θ₁ in rad (0 upright, positive to the right), θ₂ and θ₃ relative to
+    the rods before, their velocities. Three keypoints, the bobs: fixed distances pivot–first, first–second,
+    second–third. Chaotic.
     """
 
     name = "zoo/triple_pendulum"
@@ -47,15 +48,15 @@ class TriplePendulum(AbstractZooSystem):
         <body>
           <joint type="hinge" axis="0 1 0"/>
           <geom type="capsule" fromto="0 0 0 0 0 .42" size=".025" mass="0" rgba=".7 .7 .7 1"/>
-          <geom name="first" type="sphere" pos="0 0 .42" size=".11" mass=".5" rgba=".95 .25 .2 1"/>
+          <geom name="first" type="sphere" pos="0 0 .42" size=".13" mass=".5" rgba=".95 .25 .2 1"/>
           <body pos="0 0 .42">
             <joint type="hinge" axis="0 1 0"/>
             <geom type="capsule" fromto="0 0 0 0 0 .42" size=".025" mass="0" rgba=".7 .7 .7 1"/>
-            <geom name="second" type="sphere" pos="0 0 .42" size=".11" mass=".5" rgba=".2 .9 .3 1"/>
+            <geom name="second" type="sphere" pos="0 0 .42" size=".13" mass=".5" rgba=".2 .9 .3 1"/>
             <body pos="0 0 .42">
               <joint type="hinge" axis="0 1 0"/>
               <geom type="capsule" fromto="0 0 0 0 0 .42" size=".025" mass="0" rgba=".7 .7 .7 1"/>
-              <geom name="third" type="sphere" pos="0 0 .42" size=".11" mass=".5" rgba=".25 .55 1 1"/>
+              <geom name="third" type="sphere" pos="0 0 .42" size=".13" mass=".5" rgba=".25 .55 1 1"/>
             </body>
           </body>
         </body>

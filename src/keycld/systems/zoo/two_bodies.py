@@ -19,10 +19,10 @@ STRENGTH, SOFTENING = 1.6, 0.25
 class TwoBodies(AbstractZooSystem):
     """mᵢ r̈ᵢ = ± κ d / (|d|² + ε²)^1.5 with d = r₂ − r₁: V = −κ / √(|d|² + ε²).
 
-    m₁ = 1 kg, m₂ = 0.6 kg, κ = 1.6 J m, ε = 0.25 m; no other force. Initial states: distances 0.6 to 0.95 m, across them
-    0.8 to 1.08 times the speed of a circle, along them ± 0.1 m/s; the centre of mass within 0.08 m of the middle, with a
-    drift to 0.02 m/s. State: x and z of both bodies in m, their velocities. Two keypoints, the bodies, free in the plane: no
-    constraint. Source: softened gravity (Plummer).
+    m₁ = 1 kg, m₂ = 0.6 kg, κ = 1.6 J m, ε = 0.25 m; no other force. Initial states: distances 0.6 to 0.95 m, across
+    them 0.8 to 1.08 times the speed of a circle, along them ± 0.1 m/s; the centre of mass within 0.08 m of the middle,
+    with a drift to 0.02 m/s. State: x and z of both bodies in m, their velocities. Two keypoints, the bodies, free in
+    the plane: no constraint. Source: softened gravity (Plummer).
     """
 
     name = "zoo/two_bodies"
@@ -42,8 +42,8 @@ class TwoBodies(AbstractZooSystem):
       <visual><headlight ambient=".5 .5 .5" diffuse=".6 .6 .6"/><map znear=".01"/></visual>
       <statistic extent="3"/>
       <asset>
-        <texture name="sky" type="skybox" builtin="gradient" rgb1=".02 .02 .1" rgb2=".12 .05 .2" width="128" height="128"
-                 mark="random" markrgb=".8 .8 .9" random=".01"/>
+        <texture name="sky" type="skybox" builtin="gradient" rgb1=".02 .02 .1" rgb2=".12 .05 .2" width="128"
+                 height="128" mark="random" markrgb=".8 .8 .9" random=".01"/>
       </asset>
       <worldbody>
         <light pos="-2 -2 2" dir="1 .8 -.8" diffuse=".4 .4 .4" castshadow="false"/>
