@@ -44,7 +44,7 @@ class AbstractZooSystem(AbstractWatchedMechanism):
     protocol: ClassVar[str] = "zoo"
     initial_states: ClassVar[tuple[str, ...]] = ("moving",)
     mjcf: ClassVar[str]
-    substeps: ClassVar[int] = 8
+    substeps: ClassVar[int] = 5
     position_ranges: ClassVar[tuple[tuple[float, float], ...]]
     speed_limits: ClassVar[tuple[float, ...]]
     energy_range: ClassVar[tuple[float, float]]
@@ -71,8 +71,10 @@ class AbstractZooSystem(AbstractWatchedMechanism):
 
     def acceleration(self, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return q̈ `[n]`; `data` holds the joints' positions, velocities and inputs."""
+        import mujoco  # `simulate` has answered for its absence; this runs thousands of times a recording
+
         data.qfrc_applied[:] = self.force(q, v)
-        import_mujoco().mj_forward(model, data)
+        mujoco.mj_forward(model, data)
         return np.array(data.qacc)
 
     def simulate(self, state: np.ndarray, u: np.ndarray, frames: int, *, clip: bool = True) -> Run:

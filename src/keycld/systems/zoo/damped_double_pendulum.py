@@ -31,7 +31,7 @@ class DampedDoublePendulum(AbstractZooSystem):
     input_names = ("torque",)
     keypoints = ("upper", "lower")
     camera_height, camera_distance = 0.0, 3.1
-    substeps = 12
+    substeps = 8
     position_ranges, speed_limits, energy_range = ((0.0, 2 * np.pi), (-np.pi, np.pi)), (4.0, 5.0), (-10.5, -4.0)
     mjcf = """
     <mujoco>

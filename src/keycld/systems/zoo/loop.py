@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from keycld.systems.mujoco.loading import import_mujoco
 from keycld.systems.zoo.base import AbstractZooSystem
 
 
@@ -41,7 +40,8 @@ class AbstractLoop(AbstractZooSystem):
 
     def acceleration(self, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return θ̈ `[1]` from the accelerations of the open chain, M⁻¹ f."""
-        mujoco = import_mujoco()
+        import mujoco  # `simulate` has answered for its absence
+
         mujoco.mj_forward(model, data)
         _, slope, curvature = self.follow(q[0])
         weighted = np.empty_like(slope)

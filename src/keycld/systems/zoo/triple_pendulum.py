@@ -29,7 +29,7 @@ class TriplePendulum(AbstractZooSystem):
     units = ("rad", "rad", "rad", "rad/s", "rad/s", "rad/s")
     keypoints = ("first", "second", "third")
     camera_height, camera_distance = -0.1, 3.6
-    substeps = 16
+    substeps = 10
     position_ranges = ((0.0, 2 * np.pi), (-np.pi, np.pi), (-np.pi, np.pi))
     speed_limits, energy_range = (4.0, 5.0, 5.0), (-11.0, -5.0)
     mjcf = """
