@@ -97,15 +97,9 @@ class FourBar(AbstractLoop):
     def follow(self, angle: float) -> Joints:
         """Return the angles of crank, coupler (relative) and rocker, from the closed loop and its derivatives."""
         crank, coupler, rocker = _links(angle)
-
-        def solved(right: complex) -> tuple[float, float]:
-            """Solve coupler β − rocker γ = right for real β and γ."""
-            area = (coupler * rocker.conjugate()).imag
-            return (right * rocker.conjugate()).imag / area, (right * coupler.conjugate()).imag / area
-
         # A link at the angle φ from upright is i |link| exp(−iφ): its derivatives in φ are −i and −1 times itself.
-        middle, end = solved(-crank)
-        middle_curvature, end_curvature = solved(1j * (crank + coupler * middle**2 - rocker * end**2))
+        middle, end = _solve(coupler, rocker, -crank)
+        middle_curvature, end_curvature = _solve(coupler, rocker, 1j * (crank + coupler * middle**2 - rocker * end**2))
         angles = np.angle(1j / np.array([coupler, rocker]))
         return Joints(
             np.array([angle, angles[0] - angle, angles[1]]),
@@ -122,3 +116,9 @@ def _links(angle: Any) -> tuple[Any, Any, Any]:
     along = (COUPLER**2 - ROCKER**2 + distance**2) / (2 * distance)
     coupler = (along + 1j * np.sqrt(COUPLER**2 - along**2)) * gap / distance
     return crank, coupler, coupler - gap
+
+
+def _solve(coupler: complex, rocker: complex, right: complex) -> tuple[float, float]:
+    """Solve coupler β − rocker γ = right for real β and γ."""
+    area = (coupler * rocker.conjugate()).imag
+    return (right * rocker.conjugate()).imag / area, (right * coupler.conjugate()).imag / area
