@@ -101,7 +101,7 @@ def four_bar():
         point = end + tip(0.5, coupler) + tip(0.35, coupler - jnp.pi / 2)
         return jnp.stack([end, point, jnp.array([0.5, 0.0]) + tip(0.7, rocker)])
 
-    inertias = [ball(0.5, 0.12), ball(0.3, 0.1), ball(0.5, 0.12)]
+    inertias = [ball(0.5, 0.12), ball(0.3, 0.12), ball(0.5, 0.12)]
     return linkage(places, [0.5, 0.3, 0.5], angles, inertias)
 
 

@@ -23,7 +23,7 @@ class FourBar(AbstractLoop):
     Crank (0.35 m) and rocker (0.7 m) turn around pivots 1 m apart. A coupler of 1 m joins their ends; the rocker's end
     is above the line from the crank's end to the rocker's pivot. The coupler is a triangle: its third point lies 0.5 m
     along it and 0.35 m above it. Spheres at the crank's end (0.5 kg), the third point (0.3 kg) and the rocker's end
-    (0.5 kg), with radii 0.12, 0.1, 0.12 m and Iᵢ = 2/5 mᵢ ρᵢ², carry all mass and turn with crank, coupler and rocker:
+    (0.5 kg), with ρ = 0.12 m and Iᵢ = 2/5 mᵢ ρ², carry all mass and turn with crank, coupler and rocker:
     J = Σ mᵢ |rᵢ'|² + Iᵢ φᵢ'², V = g Σ mᵢ zᵢ, g = 9.81 m/s²; no friction. The crank can turn all the way round
     (Grashof). State: θ in rad (0 upright, positive to the right), θ̇ in rad/s. Three keypoints, the spheres: two
     distances from pivots, three within the coupler.
@@ -60,7 +60,7 @@ class FourBar(AbstractLoop):
             <geom type="capsule" fromto="0 0 0 0 0 1" size=".025" mass="0" rgba=".85 .85 .8 1"/>
             <geom type="capsule" fromto="0 0 0 -.35 0 .5" size=".025" mass="0" rgba=".85 .85 .8 1"/>
             <geom type="capsule" fromto="0 0 1 -.35 0 .5" size=".025" mass="0" rgba=".85 .85 .8 1"/>
-            <geom name="point" type="sphere" pos="-.35 0 .5" size=".1" mass=".3" rgba="1 .85 .1 1"/>
+            <geom name="point" type="sphere" pos="-.35 0 .5" size=".12" mass=".3" rgba="1 .85 .1 1"/>
           </body>
         </body>
         <body pos=".5 0 0">
