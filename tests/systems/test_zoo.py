@@ -25,6 +25,13 @@ def recorded(name):
     return [get(name).record(np.random.RandomState(seed), FRAMES, MOVING) for seed in range(SEEDS)]
 
 
+def driven(name):
+    """Recordings of other seeds with an input, where there is one."""
+    conditions = Conditions(initial_state="moving")
+    seeds = range(100, 100 + SEEDS) if get(name).input_names else ()
+    return [get(name).record(np.random.RandomState(seed), 50, conditions) for seed in seeds]
+
+
 def ball(mass, radius):
     return 0.4 * mass * radius**2
 
@@ -191,7 +198,7 @@ def test_motions_stay_in_the_picture_and_can_be_followed(name):
     system = get(name)
     half = len(system.units) // 2
     angles = [unit == "rad" for unit in system.units[:half]]
-    for run in recorded(name):
+    for run in [*recorded(name), *driven(name)]:
         places = system.landmarks(run.state)
         # In pixels; the largest disc has a radius of five.
         assert np.all(31.5 * (1.0 - np.abs(places)) > 2.0)
