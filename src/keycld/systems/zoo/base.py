@@ -69,24 +69,22 @@ class AbstractZooSystem(AbstractWatchedMechanism):
         """Return positions and velocities of the model's joints for coordinates and velocities; these by default."""
         return q, v
 
-    def acceleration(self, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
-        """Return q̈ `[n]`; `data` holds the joints' positions, velocities and inputs."""
-        import mujoco  # `simulate` has answered for its absence; this runs thousands of times a recording
-
+    def acceleration(self, mujoco: Any, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Return q̈ `[n]`, with MuJoCo's module; `data` holds the joints' positions, velocities and inputs."""
         data.qfrc_applied[:] = self.force(q, v)
         mujoco.mj_forward(model, data)
         return np.array(data.qacc)
 
     def simulate(self, state: np.ndarray, u: np.ndarray, frames: int, *, clip: bool = True) -> Run:
         """Simulate the motion from `state [d]` under `u`, `[l]` constant or `[frames, l]` held from frame to frame."""
-        model = _simulated(self.mjcf, clip)
-        data = import_mujoco().MjData(model)
+        mujoco, model = import_mujoco(), _simulated(self.mjcf, clip)
+        data = mujoco.MjData(model)
         n = len(self.state_names) // 2
 
         def derivative(y: np.ndarray) -> np.ndarray:
             q, v = y[:n], y[n:]
             data.qpos[:], data.qvel[:] = self.joints(q, v)
-            return np.concatenate([v, self.acceleration(model, data, q, v)])
+            return np.concatenate([v, self.acceleration(mujoco, model, data, q, v)])
 
         inputs = np.broadcast_to(u, (frames, len(self.input_names)))
         y, step = np.array(state, dtype=float), self.dt / self.substeps
@@ -100,13 +98,13 @@ class AbstractZooSystem(AbstractWatchedMechanism):
 
     def energies(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return kinetic and potential energy `[T]`, joules, of states `[T, d]`; height is zero at z = 0."""
-        model = _simulated(self.mjcf, True)
-        data = import_mujoco().MjData(model)
+        mujoco, model = import_mujoco(), _simulated(self.mjcf, True)
+        data = mujoco.MjData(model)
         n = len(self.state_names) // 2
         kinetic, potential = np.empty(len(state)), np.empty(len(state))
         for k, (q, v) in enumerate(zip(state[:, :n], state[:, n:], strict=True)):
             data.qpos[:], data.qvel[:] = self.joints(q, v)
-            import_mujoco().mj_forward(model, data)
+            mujoco.mj_forward(model, data)
             potential[k], kinetic[k] = data.energy[0] + self.potential(q), data.energy[1]
         return kinetic, potential
 

@@ -92,7 +92,7 @@ class FourBar(AbstractLoop):
         crank, coupler, rocker = _links(q[..., 0])
         point = crank + (POINT[0] + 1j * POINT[1]) * coupler / COUPLER
         spheres = np.stack([PIVOTS[0, 0] + crank, PIVOTS[0, 0] + point, PIVOTS[1, 0] + rocker], axis=-1)
-        return np.stack([spheres.real, spheres.imag], axis=-1)
+        return np.stack([np.real(spheres), np.imag(spheres)], axis=-1)
 
     def follow(self, angle: float) -> Joints:
         """Return the angles of crank, coupler (relative) and rocker, from the closed loop and its derivatives."""

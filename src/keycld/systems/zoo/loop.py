@@ -23,7 +23,7 @@ class Joints(NamedTuple):
 
 
 class AbstractLoop(AbstractZooSystem):
-    """A linkage whose every joint follows from the angle of its crank; the loop is closed exactly.
+    """A linkage whose joints all follow from the angle of its crank; the loop is closed exactly.
 
     MuJoCo's model is the loop cut open, with joints j, M(j) j̈ = f(j, j̇) without the cut's reaction. With j = J(θ) the
     reaction does no work, so (J'ᵀ M J') θ̈ = J'ᵀ (f − M J'' θ̇²).
@@ -38,10 +38,8 @@ class AbstractLoop(AbstractZooSystem):
         position, slope, _ = self.follow(q[0])
         return position, slope * v
 
-    def acceleration(self, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def acceleration(self, mujoco: Any, model: Any, data: Any, q: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Return θ̈ `[1]` from the accelerations of the open chain, M⁻¹ f."""
-        import mujoco  # `simulate` has answered for its absence
-
         mujoco.mj_forward(model, data)
         _, slope, curvature = self.follow(q[0])
         weighted = np.empty_like(slope)
