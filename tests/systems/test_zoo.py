@@ -1,6 +1,6 @@
 """The zoo: each recording is a motion of the stated equation, and each picture shows it."""
 
-from functools import lru_cache
+from functools import cache
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ MOVING = Conditions(control="none", initial_state="moving")
 SIZE = 256
 
 
-@lru_cache(maxsize=2)
+@cache
 def recorded(name):
     """Undriven recordings of twenty seeds."""
     return [get(name).record(np.random.RandomState(seed), FRAMES, MOVING) for seed in range(SEEDS)]
