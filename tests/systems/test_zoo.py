@@ -190,7 +190,7 @@ def test_states_are_integrals_of_their_derivatives(name, monkeypatch):
     assert np.all(np.abs(run.state[2:] - run.state[:-2] - change) < 0.05 * scale)
     monkeypatch.setattr(type(system), "substeps", 4 * system.substeps)
     finer = system.record(np.random.RandomState(4), 50, Conditions(initial_state="moving"))
-    np.testing.assert_allclose(run.state, finer.state, atol=1e-4)
+    np.testing.assert_allclose(run.state, finer.state, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -29,6 +29,7 @@ class SliderCrank(AbstractLoop):
     state_names, units = ("angle", "angular_velocity"), ("rad", "rad/s")
     keypoints = ("pin", "slider")
     camera_offset, camera_height, camera_distance = 0.5, 0.1, 3.0
+    substeps = 8
     position_ranges, speed_limits, energy_range = ((-np.pi, np.pi),), (11.0,), (-1.2, 3.5)
     mjcf = """
     <mujoco>
