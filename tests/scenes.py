@@ -64,8 +64,8 @@ def write_data(folder: Path, *, count: int = 6, frames: int = 12) -> Path:
 TINY = {
     "width": 8,
     "groups": 2,
-    "vision": {"steps": 6, "candidates": 2, "trial": 2, "batch": 4},
-    "dynamics": {"steps": 6, "batch": 4, "horizons": [5, 6]},
+    "vision": {"steps": 6, "candidates": 2, "trial": 2, "batch": 4, "worst": 1e9},
+    "dynamics": {"steps": 6, "batch": 4, "horizons": [5, 6], "worst": 1e9},
     "joint": {"steps": 6, "horizons": [6, 8], "fit_every": 4},
 }
 """Settings of the `fast` preset that train in seconds."""

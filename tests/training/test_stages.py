@@ -9,7 +9,7 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld.data import FrameGroups, RandomFrames, Resident, WholeTrajectories
-from keycld.models.keycld.prepare import warn_unseen
+from keycld.models.keycld.prepare import judge_vision
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, warmup_cosine
 from keycld.training.step import diagnose, initial_progress, make_step
 
@@ -247,9 +247,9 @@ def test_schedule_rises_then_falls():
     assert rates[3] == pytest.approx(0.02)
 
 
-def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_warns():
+def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed():
     seeing = SimpleNamespace(standardise=SimpleNamespace(deviation=np.float32(0.1)))
     model = SimpleNamespace(estimator=seeing, renderer=SimpleNamespace(background=np.zeros((8, 8, 3))))
     whole = 0.01 * 8 * 8 * 3
-    assert warn_unseen(model, {"reconstruction": 0.1 * whole}) is None
-    assert "0.27 of the mean picture's error" in str(warn_unseen(model, {"reconstruction": 0.27 * whole}))
+    judged = [judge_vision(model, None, {"reconstruction": share * whole}, worst=0.2) for share in (0.1, 0.27)]
+    assert judged[0] is None and "0.27 of the mean picture's error" in str(judged[1])

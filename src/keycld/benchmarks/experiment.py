@@ -19,7 +19,7 @@ class DataRecipe:
 
     Attributes:
         system: name of the system.
-        protocol: `"keycld-2022"` (arXiv v1) or `"keycld-2024"` (journal version).
+        protocol: `"keycld-2022"` (arXiv v1), `"keycld-2024"` (journal version) or `"zoo"`.
         control: which inputs act: none, under or full; by default as in the protocol.
         initial_state: how runs begin; by default as in the protocol.
     """
@@ -37,7 +37,7 @@ class DataRecipe:
     @property
     def folder(self) -> str:
         """Name of the folder under `data/`; that of arXiv v1 is the same as for `keycld data make`."""
-        year = "" if self.protocol == "keycld-2022" else f"-{self.protocol.removeprefix('keycld-')}"
+        year = "" if self.protocol in ("keycld-2022", "zoo") else f"-{self.protocol.removeprefix('keycld-')}"
         return self.label.replace(self.system, self.system + year, 1)
 
     def make(self, folder: Path) -> None:

@@ -8,11 +8,13 @@ from keycld._errors import KeycldError, unknown
 from keycld.benchmarks.experiment import DataRecipe, Experiment
 from keycld.evaluation import Protocol, protocol_named
 from keycld.models import models as registered
+from keycld.systems import names
 
 MODEL_TITLES = {"keycld": "KeyCLD", "keycld-nc": "KeyCLD-NC", "node2": "NODE2", "fc": "FC"}
 """Name and title of each model of the KeyCLD paper, in the order of its Table 1."""
 
 _SYSTEMS = ("pendulum", "cartpole", "acrobot")
+_ZOO = tuple(name for name in names() if name.startswith("zoo/"))
 _SCORED = ("test@50", "validation@50", "test_long@200", "test_long@500")
 
 
@@ -70,7 +72,8 @@ class Suite:
         Raises:
             KeycldError: a name does not exist, nothing is selected, or the preset needs more frames than are given.
         """
-        for kind, given, known in (("system", systems, _SYSTEMS), ("model", models, registered())):
+        moving = tuple(dict.fromkeys(data.system for data in self.data))
+        for kind, given, known in (("system", systems, moving), ("model", models, registered())):
             for name in given:
                 if name not in known:
                     raise unknown(kind, name, known)
@@ -85,8 +88,8 @@ class Suite:
         needed, least = found[0].config().context, min(protocol.given for protocol in self.protocols)
         if needed > least:
             raise KeycldError(
-                f"preset '{preset}'{' with --set given' if 'given' in (settings or {}) else ''} predicts from {needed} "
-                f"frames, but the suite {self.name} gives {least}: take the suite keycld-2024."
+                f"preset '{preset}' predicts from {needed} frames, but the suite {self.name} gives {least}: take the "
+                "suite keycld-2024."
             )
         fitting = tuple(experiment for experiment in found if only in experiment.name)
         if not fitting:
@@ -118,6 +121,14 @@ SUITES = {
             models=("keycld",),
             seeds=(0,),
             protocols=tuple(protocol_named(f"{name}-given-3") for name in _SCORED),
+        ),
+        Suite(
+            name="zoo",
+            title="twelve mechanisms, one recipe, motions taken up anywhere",
+            data=tuple(DataRecipe(system, "zoo") for system in _ZOO),
+            models=("keycld",),
+            seeds=(0, 1, 2),
+            protocols=tuple(protocol_named(name) for name in _SCORED[:3]),
         ),
     )
 }

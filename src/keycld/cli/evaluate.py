@@ -20,6 +20,7 @@ def evaluate(
     *,
     data: str | None = None,
     protocols: tuple[str, ...] = (),
+    given: int | None = None,
     json: bool = False,
 ) -> None:
     """Score a trained run: VPT, error over time, true-state error, energies, next to the trivial baselines.
@@ -31,11 +32,12 @@ def evaluate(
         protocols: Such as test@50, validation@50, test_long@200 or test@256-priors, with a suffix -given-N, -from-K
             (recordings from frame K on) or -backward, such as test_long@50-from-30. By default all standard ones for
             which the data have files.
+        given: Number of given frames, in place of the protocols' own; more frames make a better initial state.
         json: Print all scores as JSON, by protocol, instead of tables.
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
-    from keycld.evaluation import as_json, evaluate_sweeps, references, save_evaluation, summary
+    from keycld.evaluation import as_json, evaluate_sweeps, references, save_evaluation, summary, with_given
     from keycld.evaluation import evaluate as score
     from keycld.training import Counted, finished, load_run, pretrained, run_folder
 
@@ -52,6 +54,8 @@ def evaluate(
             data = str(data_for(config.system))
     dataset = open_data(data)
     chosen = _chosen(dataset, model, protocols)
+    if given is not None:
+        chosen = [with_given(protocol, given) for protocol in chosen]
     shared = references(dataset)
     own = asked in (None, config.data) or _holds(dataset, config.data_hash)
     suffix = "" if own else f"-{dataset.folder.resolve().name}"

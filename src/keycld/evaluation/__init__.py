@@ -20,6 +20,7 @@ from keycld.evaluation.named_protocols import PROTOCOLS as PROTOCOLS
 from keycld.evaluation.named_protocols import make_protocol as make_protocol
 from keycld.evaluation.named_protocols import protocol_named as protocol_named
 from keycld.evaluation.named_protocols import protocols_for as protocols_for
+from keycld.evaluation.named_protocols import with_given as with_given
 from keycld.evaluation.observing import observed_states as observed_states
 from keycld.evaluation.predicting import Predicted as Predicted
 from keycld.evaluation.predicting import predict as predict
@@ -86,4 +87,5 @@ __all__ = [
     "threshold_text",
     "valid_prediction_time",
     "validation_epsilon",
+    "with_given",
 ]

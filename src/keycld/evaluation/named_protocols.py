@@ -9,6 +9,7 @@ A name is `FILE@FRAMES[-priors][-given-N][-from-K][-backward]`:
 - `backward`: the last frames are given.
 """
 
+import dataclasses
 import re
 from typing import TYPE_CHECKING
 
@@ -147,9 +148,18 @@ def protocols_for(data: "DataSet", model: AbstractModel) -> tuple[Protocol, ...]
         given = max(protocol.given, model.context, _GIVEN.get(plan, 0))
         if horizon <= max(given, protocol.scored_from):
             continue
-        priors = protocol.metric == "normalised"
-        fitting = make_protocol(
-            protocol.split, horizon, priors=priors, given=given, start=protocol.start, backward=protocol.backward
-        )
+        fitting = with_given(dataclasses.replace(protocol, horizon=horizon), given)
         found[fitting.name] = fitting
     return tuple(found.values())
+
+
+def with_given(protocol: Protocol, given: int) -> Protocol:
+    """Return a standard protocol with another number of given frames, under its own name."""
+    return make_protocol(
+        protocol.split,
+        protocol.horizon,
+        priors=protocol.metric == "normalised",
+        given=given,
+        start=protocol.start,
+        backward=protocol.backward,
+    )

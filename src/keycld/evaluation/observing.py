@@ -5,11 +5,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from keycld.evaluation.acceleration import acceleration_error
 from keycld.evaluation.predicting import observe
 from keycld.evaluation.probe import fit_probe, probe_scores
 from keycld.evaluation.reading import blocks, coprime, evenly, visited
 from keycld.evaluation.reference_images import References
-from keycld.models.base import HasKeypoints
+from keycld.models.base import HasKeypoints, HasLagrangian
 from keycld.systems import AbstractSystem, get, names
 
 if TYPE_CHECKING:
@@ -71,9 +72,12 @@ def score_states(
         rolled: predicted keypoints `[N, T, K, 2]` and true states `[N, T, d]`.
 
     Returns:
-        scores and curves of `probe_scores`, and the number of frames that passed through the encoder.
+        scores and curves of `probe_scores`, with `acceleration` of `acceleration_error`, and the number of frames that passed through the encoder.
     """
     assert shared.angles is not None
     fit, observed = observed_states(model, data, "validation"), observed_states(model, data, *scored)
     probe = fit_probe(system, *fit, shared.guesses(), shared.angles)
-    return *probe_scores(probe, fit, observed, rolled), len(fit[0]) + len(observed[0])
+    scores, curves = probe_scores(probe, fit, observed, rolled)
+    if isinstance(model, HasLagrangian) and (error := acceleration_error(model, probe, fit, data, scored[0])) is not None:
+        scores["acceleration"] = error
+    return scores, curves, len(fit[0]) + len(observed[0])

@@ -34,7 +34,7 @@ class Probe:
 
     def landmarks(self, keypoints: Float[np.ndarray, "*any K 2"]) -> Float[np.ndarray, "*any L 2"]:
         """Return the landmarks that the keypoints stand for, in image-plane units."""
-        return (_with_one(keypoints) @ self.matrix).reshape(*keypoints.shape[:-2], -1, 2)
+        return (with_one(keypoints) @ self.matrix).reshape(*keypoints.shape[:-2], -1, 2)
 
     def landmark_errors(
         self, keypoints: Float[np.ndarray, "*any K 2"], state: Float[np.ndarray, "*any d"]
@@ -52,7 +52,8 @@ class Probe:
         return np.where(self.angles, np.degrees(gap), gap)
 
 
-def _with_one(keypoints: np.ndarray) -> np.ndarray:
+def with_one(keypoints: np.ndarray) -> np.ndarray:
+    """Return points `[*any, K, 2]` as rows `[*any, 2K + 1]` that end with a one."""
     flat = keypoints.reshape(*keypoints.shape[:-2], -1).astype(np.float64)
     return np.concatenate([flat, np.ones((*flat.shape[:-1], 1))], axis=-1)
 
@@ -66,7 +67,7 @@ def fit_probe(
 ) -> Probe:
     """Fit the least-squares map from `keypoints` and a one to the system's landmarks of `state`."""
     targets = system.landmarks(state).reshape(len(state), -1)
-    matrix, *_ = np.linalg.lstsq(_with_one(keypoints), targets, rcond=None)
+    matrix, *_ = np.linalg.lstsq(with_one(keypoints), targets, rcond=None)
     return Probe(system, matrix, guesses, angles)
 
 

@@ -18,6 +18,7 @@ from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
 from keycld.mechanics.fitting import Fitted as Fitted
 from keycld.mechanics.fitting import fit_motions as fit_motions
+from keycld.mechanics.fitting import rough_states as rough_states
 from keycld.mechanics.force import AbstractDissipationTerm as AbstractDissipationTerm
 from keycld.mechanics.force import AbstractPotentialTerm as AbstractPotentialTerm
 from keycld.mechanics.force import AbstractTerm as AbstractTerm
@@ -156,6 +157,7 @@ __all__ = [
     "register_term",
     "regress_forces",
     "rigid_body",
+    "rough_states",
     "solve_positive",
     "term_kinds",
     "terms_of",

@@ -5,11 +5,12 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PyTree
 
 from keycld._errors import KeycldError
-from keycld.mechanics.dynamics import MechanicalDynamics, joining_velocity
+from keycld.mechanics.dynamics import MechanicalDynamics
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.mechanics.state import Motion, Scalar, State
 
@@ -87,7 +88,7 @@ def fit_motions(
         active: a pytree of the same shape with 1 for each number of θ that is fitted and 0 for each that stays; None:
             all are fitted. One compiled program serves all choices.
         constants: values of Φ that all motions share; None: for each motion the mean over its observations.
-        initial: initial states to begin with, `[N, dim]` each; None: from the first two observations.
+        initial: initial states to begin with, `[N, dim]` each; None: `rough_states`.
         searches: steps of the initial states alone before the others.
         iterations: the most steps of initial states and θ together. It ends after three in a row that gain less than a
             thousandth of the cost each: from a good guess after 4.
@@ -176,12 +177,6 @@ def fit_motions(
     def each(function, *arrays):
         return jax.lax.map(lambda args: function(*args), arrays, batch_size=min(chunk, count))
 
-    def first_guess(x: Array, held: Array, push: Array) -> Array:
-        first, second = law.project_position(x[0], held), law.project_position(x[1], held)
-        first_input = push if push.ndim == 1 else push[0]
-        v = joining_velocity(dynamics, first, second, {"constants": held}, first_input, dt)
-        return jnp.concatenate([first, clock * v])
-
     def search(z: Array, dampings: Array, theta: Array) -> tuple[Array, Array]:
         """Take a step of each initial state; each motion has its own damping."""
 
@@ -230,10 +225,8 @@ def fit_motions(
         least = jnp.minimum(least, total)
         return (z, dampings, theta, _next_damping(better, damping), least, curvature), stalls, taken + 1
 
-    if initial is None:
-        z = each(first_guess, observed, constants, u)
-    else:
-        z = jnp.concatenate([initial.x, clock * initial.v], axis=1)
+    start = rough_states(observed, dt) if initial is None else initial
+    z = jnp.concatenate([start.x, clock * start.v], axis=1)
     (z, dampings), _ = jax.lax.scan(fit_initial_states, (z, jnp.full(count, 1e-2)), length=searches)
     curvature = jnp.zeros((flat.size, flat.size))
     if flat.size:
@@ -246,6 +239,14 @@ def fit_motions(
     errors = jnp.sqrt(squares / (jnp.sum(mask) * dim))
     total = jnp.sum(jax.vmap(cost)(paths - observed))
     return Fitted(model(flat), Motion(first[:, :dim], first[:, dim:]), paths, errors, total, curvature)
+
+
+def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
+    """Return positions and velocities `[N, dim]` at frame 0 of a parabola through the first seven frames."""
+    window = min(7, observed.shape[1])
+    powers = np.linalg.pinv(np.vander(np.arange(window), min(3, window), increasing=True))
+    x, v = (jnp.einsum("t,ntd->nd", jnp.asarray(row, observed.dtype), observed[:, :window]) for row in powers[:2])
+    return Motion(x, v / dt)
 
 
 def _damped(matrix: Array, damping: Array) -> Array:

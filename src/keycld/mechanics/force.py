@@ -26,6 +26,7 @@ class AbstractTerm(eqx.Module):
         kind: its name in settings and reports.
         meaning: what it describes, in a few words, for reports.
         tried: whether training tries it together with the others.
+        rank: of two kinds that explain a motion alike, the one with the lower rank stays.
         nonlinear: names of the parameters that it is not linear in. Where all others are zero it has no effect.
     """
 
@@ -33,6 +34,7 @@ class AbstractTerm(eqx.Module):
     meaning: ClassVar[str]
     nonlinear: ClassVar[tuple[str, ...]] = ()
     tried: ClassVar[bool] = True
+    rank: ClassVar[int] = 0
 
     @classmethod
     @abc.abstractmethod

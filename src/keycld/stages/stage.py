@@ -55,7 +55,8 @@ class Stage:
             their shapes.
         candidates: number of random initialisations to try; only for a first stage.
         trial: steps of each of these trials; the one with the lowest loss continues.
-        warn: returns a warning for the user after the last step, or None, from the model and the last logged terms.
+        judge: says after the last step what has failed, or None, from the model, the data and the last logged terms.
+            Training then begins again with other initial weights.
         validate: whether the validation set is scored after the last step.
     """
 
@@ -72,7 +73,7 @@ class Stage:
     refresh: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
     candidates: int = 1
     trial: int = 0
-    warn: Callable[[Any, Mapping[str, float]], str | None] | None = None
+    judge: Callable[[Any, Resident, Mapping[str, float]], str | None] | None = None
     validate: bool = False
 
     def labels(self, model: eqx.Module) -> list[str | None]:

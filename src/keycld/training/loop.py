@@ -13,16 +13,20 @@ import equinox as eqx
 import jax
 import numpy as np
 
+from keycld._errors import KeycldError
 from keycld._progress import Bar
 from keycld.data import Resident, TrainingData
 from keycld.models.base import AbstractModel
 from keycld.stages import Stage
 from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
-from keycld.training.run_folder import Metrics
+from keycld.training.run_folder import Metrics, write_verdict
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
 
 _NOTHING = contextlib.nullcontext()
+# More than any stage tries: each attempt has random weights and steps of its own.
+_MOST_CANDIDATES = 1000
+_ATTEMPTS = 3
 Validate = Callable[[AbstractModel], dict[str, float]]
 # (rest, data), progress → progress, terms: several steps in one dispatch.
 Run = Callable[[tuple[Any, Resident], Progress], tuple[Progress, dict[str, Any]]]
@@ -86,9 +90,10 @@ def train_stages(
         renamed: as in `load_arrays`.
 
     Raises:
-        KeycldError: a loss or gradient is not finite; a checkpoint is damaged or cannot be written.
+        KeycldError: a loss or gradient is not finite; a checkpoint is damaged or cannot be written; a stage has failed
+            three times, each with other initial weights.
     """
-    model = fresh(0, {})
+    model, failures = fresh(0, {}), []
     before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
     first, step, clock = 0, 0, _Clock()
     checkpoint = latest_checkpoint(folder)
@@ -98,6 +103,7 @@ def train_stages(
         position = read_position(checkpoint)
         first, step = position["stage"], position["step"]
         clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
+        failures = position.get("failures", [])
         model = load_arrays(checkpoint / WEIGHTS, fresh(0, position.get("changes", {})), renamed)
         data = source.at(before[first])
         if position["cached"]:
@@ -121,11 +127,12 @@ def train_stages(
             "done": progress is None,
             "cached": 0 if data.cached is None else data.cached.shape[-1],
             "changes": changes(model),
+            "failures": failures,
             "seconds": clock.seconds,
             "cpu_seconds": clock.cpu_seconds,
             "frames": clock.frames,
         }
-        name = f"{number:02d}-{stages[number].name}-{step:06d}"
+        name = f"{_attempt(failures)}{number:02d}-{stages[number].name}-{step:06d}"
         save_checkpoint(folder, name, model, _state(data, progress), position, keep)
 
     def record(number: int, done: int, values: dict[str, float]) -> None:
@@ -135,16 +142,17 @@ def train_stages(
         metrics.write(step=step, stage=stages[number].name, **cost, **values)
         tracker.log(step, values)
 
-    for number in range(first, len(stages)):
-        stage = stages[number]
-        compiled = functools.cache(functools.partial(make_step, stage, number, seed))
+    number = first
+    while number < len(stages):
+        stage, again = stages[number], _MOST_CANDIDATES * len(failures)
+        compiled = functools.cache(functools.partial(make_step, stage, number + again, seed))
         models = []
         pinned, per_step = _clips(stage, data)
         if progress is not None:
             current, (_, rest) = progress, initial_progress(stage, model)
         else:
             data = _moved(data, source.at(before[number]))
-            models = [model] if stage.candidates == 1 else [model, *(fresh(k, {}) for k in range(1, stage.candidates))]
+            models = [model] if stage.candidates == 1 else [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
             current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
         done = int(current.step)
         clock.frames += per_step * done * len(models)
@@ -179,7 +187,7 @@ def train_stages(
                 values = {k: float(np.mean([np.mean(t[k]) for t in pending])) for k in terms}
                 pending = []
                 if not bool(current.healthy):
-                    raise diagnose(stage, number, seed, current, rest, data)
+                    raise diagnose(stage, number + again, seed, current, rest, data)
                 clock.tick()
                 now = time.monotonic()
                 rate = (clock.frames - logged_frames) / max(now - logged_at, 1e-9)
@@ -190,16 +198,31 @@ def train_stages(
                     save(number, current, eqx.combine(current.parameters, rest), done)
                     saved = time.monotonic()
         model = eqx.combine(current.parameters, rest)
-        if stage.warn is not None and values and (text := stage.warn(model, values)):
-            print(f"warning      {text}", file=sys.stderr, flush=True)
+        progress = None
+        if stage.judge is not None and (failure := stage.judge(model, data, values)):
+            # Not saved: a run that resumes here fails in the same way.
+            failures.append(f"{stage.name}: {failure}")
+            if len(failures) == _ATTEMPTS:
+                write_verdict(folder, failures, passed=False)
+                raise KeycldError(f"training failed {_ATTEMPTS} times, the last time in stage {failures[-1]}")
+            print(f"restart      {failures[-1]}", file=sys.stderr, flush=True)
+            model, data, number = fresh(_MOST_CANDIDATES * len(failures), {}), source.at(0), 0
+            metrics = Metrics(folder, 0)
+            continue
         if stage.validate:
             scores = validate(model)
             clock.tick()
             record(number, done, scores)
             print("validation   " + "  ".join(f"{k} {v:.3f}" for k, v in scores.items()), flush=True)
-        progress = None
         save(number, None, model, done)
+        number += 1
+    write_verdict(folder, failures, passed=True)
     return model
+
+
+def _attempt(failures: list[str]) -> str:
+    """Return a prefix of the names of checkpoints: none at first."""
+    return f"again{len(failures)}-" if failures else ""
 
 
 def _best(

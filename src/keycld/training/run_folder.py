@@ -14,7 +14,7 @@ from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld.models import ModelConfig, config_for
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,6 +160,27 @@ def environment() -> dict[str, Any]:
         "devices": [f"{device.platform}: {device.device_kind}" for device in jax.devices()],
         "commit": _commit(),
     }
+
+
+def write_verdict(folder: Path, failures: list[str], *, passed: bool) -> None:
+    """Write `verdict.json`: whether a finished training has passed, and what failed in each attempt before."""
+    write_text(folder / "verdict.json", json.dumps({"passed": passed, "failures": failures}, indent=1))
+
+
+def read_verdict(folder: Path) -> dict[str, Any] | None:
+    """Return the verdict on a training, None while it is not finished or if it is damaged."""
+    try:
+        found = json.loads((folder / "verdict.json").read_text())
+        return {"passed": bool(found["passed"]), "failures": [str(each) for each in found["failures"]]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+
+
+def refuse_failed(folder: Path) -> None:
+    """Raise KeycldError for a run whose training has failed: what it left is no model."""
+    verdict = read_verdict(folder)
+    if verdict is not None and not verdict["passed"]:
+        raise KeycldError(f"the training of {folder} has failed in stage {verdict['failures'][-1]}")
 
 
 class Metrics:

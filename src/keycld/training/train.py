@@ -127,6 +127,7 @@ def load_run(run: str | Path, **settings: Any) -> tuple[AbstractModel, RunConfig
     """
     folder = Path(run)
     config = read_config(folder)
+    refuse_failed(folder)
     checkpoint = latest_checkpoint(folder)
     if checkpoint is None:
         raise KeycldError(f"{folder} has no checkpoint yet: wait for the first one, or train it again.")

@@ -25,6 +25,7 @@ class Anchors(AbstractPotentialTerm):
 
     kind = "anchors"
     meaning = "springs with a rest length to fixed points"
+    rank = 6
     nonlinear = ("point",)
 
     strength: Float[Array, "K"]

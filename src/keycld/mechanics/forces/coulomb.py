@@ -22,6 +22,7 @@ class CoulombFriction(AbstractDissipationTerm):
 
     kind = "coulomb"
     meaning = "dry friction"
+    rank = 3
 
     strength: Float[Array, "K"]
 

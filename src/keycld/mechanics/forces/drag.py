@@ -19,6 +19,7 @@ class Drag(AbstractDissipationTerm):
 
     kind = "drag"
     meaning = "drag, in proportion to the square of the speed"
+    rank = 4
 
     strength: Float[Array, "K"]
 

@@ -26,6 +26,7 @@ class PairForces(AbstractPotentialTerm):
 
     kind = "pairs"
     meaning = "forces along the line through two keypoints"
+    rank = 5
 
     strength: Float[Array, "pairs 3"]
     first: tuple[int, ...] = eqx.field(static=True)

@@ -21,6 +21,7 @@ class ViscousFriction(AbstractDissipationTerm):
 
     kind = "viscous"
     meaning = "viscous friction of keypoints"
+    rank = 1
 
     coefficients: Float[Array, "K K"]
 

@@ -15,6 +15,7 @@ from keycld.mechanics import (
     Motion,
     fit_motions,
     regress_forces,
+    rough_states,
     term_kinds,
     terms_of,
     with_kinds,
@@ -58,8 +59,8 @@ def identify(
     All terms are fitted together, first by regression of accelerations (`regress_forces`), then through the dynamics to
     a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the cost would hardly rise
     without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term, all others eliminated.
-    The weakest goes first, and the others take over what they can. If what is left explains the recordings badly, a
-    potential energy of free form is added.
+    Those of the highest rank are judged first, and the others take over what they can. If what is left explains the
+    recordings badly, a potential energy of free form is added.
 
     Args:
         dynamics: V affine; its parameters do not matter.
@@ -76,11 +77,10 @@ def identify(
     law = with_kinds(_affine(law), kinds, key=jax.random.key(0))
     law = regress_forces(law, _free(law), x, u, dt)
     dynamics = eqx.tree_at(lambda d: d.law, dynamics, law)
-    length, fitted = x.shape[1], None
+    length, initial = x.shape[1], rough_states(x, dt)
     for frames, iterations in ((length // 4, 8), (length // 2, 8), (length, 30)):
-        fitted = _fitted(dynamics, x, u, dt, constants, None if fitted is None else fitted.initial, frames, iterations)
-        dynamics = fitted.dynamics
-    assert fitted is not None
+        fitted = _fitted(dynamics, x, u, dt, constants, initial, frames, iterations)
+        dynamics, initial = fitted.dynamics, fitted.initial
     if terms is not None:
         return Identified(dynamics, float(fitted.rms), {})
     kept, worth = _selected(fitted)
@@ -103,6 +103,14 @@ def refit(
     return _fitted(dynamics, x, u, dt, constants)
 
 
+def explain(
+    dynamics: MechanicalDynamics, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None
+) -> Fitted:
+    """Fit the motions of given dynamics to keypoints; nothing but their initial states is free."""
+    free = jax.tree.map(lambda _: False, dynamics)
+    return _fit(dynamics, free, x, u, dt, constants=constants, searches=10)
+
+
 def _fitted(
     dynamics: MechanicalDynamics,
     x: jax.Array,
@@ -114,6 +122,7 @@ def _fitted(
     iterations: int = 30,
 ) -> Fitted:
     count = x.shape[1] if frames is None else frames
+    initial = rough_states(x, dt) if initial is None else initial
     free = _free(dynamics)
     return _fit(
         dynamics,
@@ -146,28 +155,30 @@ def _free(dynamics: Any) -> Any:
 def _selected(fitted: Fitted) -> tuple[set[str], dict[str, float]]:
     """Return the kinds of the terms that are worth their parameters, and the worth of each when it was judged last."""
     parameters = eqx.filter(fitted.dynamics, _free(fitted.dynamics))
-    theta, owner, counts = [], [], []
+    theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(fitted.dynamics.law)
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
         name = jax.tree_util.keystr(path)
         kind = next((kind for kind in kinds if f"terms['{kind}']" in name), None)
         theta.append(np.asarray(leaf, float).ravel())
         owner += [kind] * leaf.size
+        masses += [".mass." in name] * leaf.size
         counts += [kind is None or name.rsplit(".", 1)[-1] not in kinds[kind].nonlinear] * leaf.size
     flat, owners, linear = np.concatenate(theta), np.array(owner, object), np.array(counts)
     curvature = np.asarray(fitted.curvature, float)
+    # The common factor of M, V, g and R stays: otherwise heavier masses could take over from any force.
+    factor = np.where(np.array(masses), flat, 0.0)
+    curvature = curvature + np.trace(curvature) / (factor @ factor) ** 2 * np.outer(factor, factor)
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
     curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
     kept, worth = set(kinds), {}
-    while kept:
-        rises = {kind: _rise(curvature, flat, linear & (owners == kind), _others(owners, kept, kind)) for kind in kept}
-        weakest = min(rises, key=lambda kind: rises[kind])
-        worth |= {kind: rise / float(fitted.cost) for kind, rise in rises.items()}
-        if worth[weakest] > _WORTH:
-            break
-        kept.remove(weakest)
-        # What the others take over.
-        flat = _without(curvature, flat, linear & (owners == weakest), _others(owners, kept, weakest))
+    for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
+        group, others = linear & (owners == kind), _others(owners, kept, kind)
+        worth[kind] = _rise(curvature, flat, group, others) / float(fitted.cost)
+        if worth[kind] < _WORTH:
+            kept.remove(kind)
+            # What the others take over.
+            flat = _without(curvature, flat, group, others)
     return kept, worth
 
 

@@ -32,11 +32,12 @@ from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
     identify_dynamics,
+    judge_dynamics,
+    judge_vision,
     measure_statistics,
     measure_velocity_prior,
     sequence,
     share_constants,
-    warn_unseen,
 )
 from keycld.models.keycld.published import check_sizes, plain_initial_state
 from keycld.models.keycld.velocity_prior import VelocityPrior
@@ -166,7 +167,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         prepare=measure_statistics,
         candidates=first.candidates,
         trial=first.trial,
-        warn=warn_unseen,
+        judge=functools.partial(judge_vision, worst=first.worst),
     )
 
     def clips(batch: int, horizons: tuple[int, ...], steps: int, cached: bool = False) -> FrameGroups:
@@ -200,9 +201,12 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         dynamics = _gradient_stage(second, clips)
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms)
-        dynamics = dataclasses.replace(joint, name="dynamics", steps=0, prepare=identify, refresh=None)
+        judge = functools.partial(judge_dynamics, worst=second.worst)
+        dynamics = dataclasses.replace(
+            joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
+        )
     last = sequence(fit_dynamics, measure_velocity_prior)
-    prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, refresh=None, validate=True)
+    prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
     return vision, dynamics, joint, prior
 
 

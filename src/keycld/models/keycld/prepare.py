@@ -1,4 +1,4 @@
-"""Preparations before the first step of a stage, and the warning after the vision stage.
+"""Preparations before the first step of a stage, and judgements after the last one.
 
 A preparation is a function (model, resident data) → (model, resident data).
 """
@@ -14,7 +14,7 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
-from keycld.models.keycld.identify import identify, refit
+from keycld.models.keycld.identify import explain, identify, refit
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -41,24 +41,57 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
     return model, data
 
 
-def warn_unseen(model: Any, terms: Mapping[str, float]) -> str | None:
-    """Return a warning if the vision stage has failed: moving parts are missing from the rendered frames.
+def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
+    """Return what has failed in the vision stage, or None: moving parts may be missing from the rendered frames.
 
     The criterion is the reconstruction error as a share of the error of the mean frame. Measured: 0.05 to 0.08 after
     successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
 
     Args:
         model: after the stage.
+        data: the training data.
         terms: the last logged terms of the loss.
+        worst: the largest share that passes.
     """
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
     share = terms["reconstruction"] / whole
-    if share < 0.2:
+    if share < worst:
         return None
     return (
         f"the keypoints have not found their parts: the reconstruction error is {share:.2f} of the mean picture's "
-        "error, and less than 0.1 is usual. Training continues, but predictions will be poor. Try another --seed, or "
-        "--vision.steps 2000."
+        f"error, more than {worst:g}. Try --vision.steps 2000, or check that there is a keypoint for each moving part."
+    )
+
+
+def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
+    """Return what has failed in the dynamics stage, or None: the law may not explain how the keypoints move.
+
+    The motions of the law that come nearest to the observed keypoints of other recordings than those it was identified
+    on are compared with those of constant velocity and constant acceleration, fitted alike.
+
+    Args:
+        model: after the stage; None is returned for one without a Lagrangian.
+        data: the training data.
+        terms: not used.
+        worst: the largest share of the errors of constant acceleration that passes.
+    """
+    if not isinstance(model, KeyCLD):
+        return None
+    x, u = _observed(model, data, _FITTED, first=1)
+    pixel = 2 / max(data.shape[2:4])
+    law = float(explain(model.dynamics, x, u, data.dt, model.constants).rms)
+    frames = np.arange(x.shape[1]) / x.shape[1]
+    flat = np.asarray(x, float).transpose(1, 0, 2).reshape(len(frames), -1)
+    others = []
+    for degree in (1, 2):
+        powers = np.vander(frames, degree + 1)
+        others.append(float(np.sqrt(np.mean((flat - powers @ np.linalg.lstsq(powers, flat, rcond=None)[0]) ** 2))))
+    if law < worst * others[1]:
+        return None
+    return (
+        f"no law was found that explains the motion: fitted motions are {law / pixel:.2f} pixels from the keypoints, "
+        f"those of constant velocity {others[0] / pixel:.2f}, of constant acceleration {others[1] / pixel:.2f}. Check "
+        "keypoints and constraints, and that all inputs are in the data."
     )
 
 
@@ -154,9 +187,10 @@ def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]
     return prepare
 
 
-def _observed(model: Any, data: Resident, trajectories: int) -> tuple[jax.Array, jax.Array]:
+def _observed(model: Any, data: Resident, trajectories: int, first: int = 0) -> tuple[jax.Array, jax.Array]:
     """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs."""
-    some = range(0, len(data.u), max(1, len(data.u) // trajectories))
+    step = max(1, len(data.u) // trajectories)
+    some = range(first % step, len(data.u), step)
     return jnp.stack([_observe(model, data.image[i]) for i in some]), data.u[some.start : some.stop : some.step]
 
 

@@ -126,6 +126,6 @@ def plain_initial_state(given: int) -> AbstractInitialState:
     """
     if given not in (2, 3):
         raise KeycldError(
-            f"a velocity by differences needs 2 or 3 given frames, not {given}: set given to one of them."
+            f"a velocity by differences needs 2 or 3 given frames, not {given}."
         )
     return DifferenceInitialState() if given == 2 else CentralInitialState()

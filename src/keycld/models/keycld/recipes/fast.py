@@ -41,11 +41,13 @@ class VisionStage:
     """Initial value of this weight for constraints on several keypoints; above zero."""
     joints: float = 0.85
     """Share of the steps in which constraints on several keypoints move only the joints."""
+    worst: float = 0.2
+    """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsStage:
-    """Dynamics alone; the settings are for NODE2, which has no Lagrangian to identify: roll-outs on cached keypoints."""
+    """Dynamics alone. All settings but `worst` are for NODE2, which has no Lagrangian to identify."""
 
     steps: int = 600
     """Optimiser steps."""
@@ -57,6 +59,8 @@ class DynamicsStage:
     """Frames that a clip spans; each value holds for an equal part of the steps."""
     scale: float = 0.1
     """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
+    worst: float = 0.5
+    """Error of fitted motions, as a share of that of constant accelerations, above which the stage has failed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -156,11 +160,13 @@ class FastConfig(KeyCLDConfig):
         return 2
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return settings of schema 1, which were flat, and of schema 2, which had two joint stages and perceptrons."""
+        """Return settings of schema 1, which were flat, of 2, which had two joint stages, and of 3, without terms."""
         if version == 1:
             settings = {_FLAT.get(name, name): value for name, value in settings.items()}
         gone = ("given", "long", "joint_steps", "joint_horizons", "long_steps", "long_horizons")
         kept = {name: value for name, value in settings.items() if name not in gone}
+        if version == 3:
+            return kept | {"terms": ["perceptron"] if kept.pop("potential_width") else []}
         # The one joint stage keeps the preset's own steps and horizons: those of the two do not fit it.
         joint = {name: value for name, value in kept.get("joint", {}).items() if name not in ("steps", "horizons")}
         return kept | ({"joint": joint} if joint else {}) | {"terms": ["perceptron-32"], "input_width": 32}

@@ -1,0 +1,76 @@
+"""How well the learned law gives the accelerations of the true motion."""
+
+from typing import TYPE_CHECKING
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keycld.evaluation.geometry import positions
+from keycld.evaluation.probe import Probe, with_one
+from keycld.models.base import HasLagrangian
+
+if TYPE_CHECKING:
+    from keycld.data import DataSet
+
+_MOST_TRAJECTORIES = 200
+_STEP = 1e-3
+
+
+def acceleration_error(
+    model: HasLagrangian,
+    probe: Probe,
+    fit: tuple[Float[np.ndarray, "M K 2"], Float[np.ndarray, "M d"]],
+    data: "DataSet",
+    split: str,
+) -> float | None:
+    """Compute the error of learned accelerations along true motion, as a share of the true ones, root mean squares.
+
+    True positions and velocities of the landmarks are mapped to keypoints by the best affine map, which is fitted on
+    the frames of the probe. The law gives the acceleration there, and the probe maps it back to the landmarks.
+
+    Args:
+        model: whose law.
+        probe: from keypoints to landmarks.
+        fit: observed keypoints and true states on the frames of the probe.
+        data: the data set.
+        split: whose recordings; up to 200 of them.
+
+    Returns:
+        The share; None if the recordings have no derivative of the state.
+    """
+    recordings = data.split(split, images=False, rows=slice(0, _MOST_TRAJECTORIES))
+    if recordings.state is None or recordings.state_derivative is None:
+        return None
+    state = recordings.state.reshape(-1, recordings.state.shape[-1])
+    derivative = recordings.state_derivative.reshape(state.shape)
+    u = recordings.input[:, None] if recordings.input.ndim == 2 else recordings.input
+    u = np.broadcast_to(u, (*recordings.state.shape[:2], u.shape[-1])).reshape(len(state), -1)
+    before, now, after = (probe.system.landmarks(_moved(state, derivative, sign)) for sign in (-1, 0, 1))
+    velocity, true = (after - before) / (2 * _STEP), (after - 2 * now + before) / _STEP**2
+    to_keypoints, *_ = np.linalg.lstsq(
+        with_one(probe.system.landmarks(fit[1])), fit[0].reshape(len(fit[0]), -1), rcond=None
+    )
+    x = with_one(now) @ to_keypoints
+    v = velocity.reshape(len(state), -1) @ to_keypoints[:-1]
+    found = np.asarray(_accelerations(model, jnp.asarray(x), jnp.asarray(v), jnp.asarray(u)), np.float64)
+    gap = found @ probe.matrix[:-1] - true.reshape(len(state), -1)
+    return float(np.sqrt(np.mean(gap**2) / np.mean(true**2)))
+
+
+def _moved(state: np.ndarray, derivative: np.ndarray, sign: int) -> np.ndarray:
+    """Return the state with positions a short time earlier or later."""
+    q, (rate, acceleration) = positions(state), np.split(derivative, 2, axis=-1)
+    moved = q + sign * _STEP * rate + _STEP**2 / 2 * acceleration * sign**2
+    return np.concatenate([moved, state[..., q.shape[-1] :]], axis=-1)
+
+
+@eqx.filter_jit
+def _accelerations(model: HasLagrangian, x: Array, v: Array, u: Array) -> Array:
+    def one(x: Array, v: Array, u: Array) -> Array:
+        x = x if model.constants is None else model.law.project_position(x, model.constants)
+        return model.law.acceleration(x, model.law.project_velocity(x, v), u)
+
+    return jax.vmap(one)(x, v, u)
