@@ -45,7 +45,8 @@ def regress_forces(
     states = _local_cubics(observed, float(dt))
     inputs = u[:, None] if u.ndim == 2 else u[:, _WINDOW // 2 :][:, : states[0].shape[1]]
     inputs = jnp.broadcast_to(inputs, (*states[0].shape[:2], inputs.shape[-1]))
-    x, v, a, inputs = (jnp.asarray(part).reshape(-1, part.shape[-1]) for part in (*states, inputs))
+    rows = inputs.shape[0] * inputs.shape[1]
+    x, v, a, inputs = (jnp.asarray(part).reshape(rows, part.shape[-1]) for part in (*states, inputs))
     project = jax.jit(jax.vmap(lambda x: _projection(law.jacobian(x))))(x)
     basis = _mass_basis(law.mass)
     mass = -np.einsum("rij,krj->rik", project, np.stack([_times(m, np.asarray(a)) for m in basis]))
