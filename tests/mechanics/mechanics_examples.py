@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld.mechanics import (
-    ViscousFriction,
     ConstrainedLagrangian,
     Constraints,
     DistanceToPoint,
@@ -17,6 +16,7 @@ from keycld.mechanics import (
     OnLine,
     PointMasses,
     State,
+    ViscousFriction,
 )
 
 GOLDEN = Path(__file__).parent / "golden"

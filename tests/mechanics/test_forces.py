@@ -105,9 +105,7 @@ def test_dry_friction_stops_a_block_on_a_rail():
     """It slides v²/2c far, in v/c seconds."""
     rail = Constraints(("block",), (OnLine("block"),))
     friction = SumDissipation({"coulomb": CoulombFriction(jnp.array([2.0]))})
-    block = eqx.tree_at(
-        lambda l: l.dissipation, law([1.0], rail), friction, is_leaf=lambda leaf: leaf is None
-    )
+    block = eqx.tree_at(lambda l: l.dissipation, law([1.0], rail), friction, is_leaf=lambda leaf: leaf is None)
     state = State(Motion(jnp.zeros(2), jnp.array([1.0, 0.0])), {"constants": jnp.zeros(1)})
     motion = MechanicalDynamics(block, Rattle(4)).rollout(state, jnp.zeros(0), 0.02, 50)
     assert float(motion.x[-1, 0]) == pytest.approx(0.25, rel=0.02)

@@ -104,7 +104,9 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
     root, _, _ = whole
     old = shutil.copytree(root / "whole", root / "old")
     config = json.loads((old / "config.json").read_text())
-    then = CONFIG.changed({"constraints": config["settings"]["constraints"], "terms": ["perceptron-32"], "input_width": 32})
+    then = CONFIG.changed(
+        {"constraints": config["settings"]["constraints"], "terms": ["perceptron-32"], "input_width": 32}
+    )
     model = then.build(Scene(**config["scene"]), jax.random.key(1))
     save_arrays(latest_checkpoint(old) / WEIGHTS, model)
     settings = config["settings"]

@@ -29,10 +29,9 @@ from keycld.mechanics.force import term_kinds as term_kinds
 from keycld.mechanics.force import terms_of as terms_of
 from keycld.mechanics.force import with_kinds as with_kinds
 from keycld.mechanics.force import with_terms as with_terms
-from keycld.mechanics.forces.viscous import ViscousFriction as ViscousFriction
 from keycld.mechanics.forces.perceptron import PerceptronPotential as PerceptronPotential
 from keycld.mechanics.forces.springs import Springs as Springs
-from keycld.mechanics.regression import regress_forces as regress_forces
+from keycld.mechanics.forces.viscous import ViscousFriction as ViscousFriction
 from keycld.mechanics.generalized import GeneralizedLagrangian as GeneralizedLagrangian
 from keycld.mechanics.generalized import MLPFactor as MLPFactor
 from keycld.mechanics.generalized import pulled_back as pulled_back
@@ -62,6 +61,7 @@ from keycld.mechanics.networks import Perceptron as Perceptron
 from keycld.mechanics.phase_space import FirstOrderDynamics as FirstOrderDynamics
 from keycld.mechanics.phase_space import HamiltonianDynamics as HamiltonianDynamics
 from keycld.mechanics.rattle import Rattle as Rattle
+from keycld.mechanics.regression import regress_forces as regress_forces
 from keycld.mechanics.relation import AbstractDisplacement as AbstractDisplacement
 from keycld.mechanics.relation import AbstractRelation as AbstractRelation
 from keycld.mechanics.relation import register_relation as register_relation

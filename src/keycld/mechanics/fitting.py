@@ -1,6 +1,6 @@
 """Least squares through the dynamics: initial states of many motions and parameters of the law from observations."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -70,8 +70,8 @@ def fit_motions(
     average out over all frames of a motion, so fitted paths are better estimates of the positions than the
     observations are, and forces act over the whole time instead of between two frames.
 
-    Initial states are fitted first. Then steps of all unknowns alternate with steps of the initial states alone; each
-    motion accepts its own. The initial states are eliminated motion by motion (Schur complement), so the cost is linear
+    The first steps move initial states alone, the others all unknowns; each motion accepts its own new state. The
+    initial states are eliminated motion by motion (Schur complement), so the cost is linear
     in N. From a rough guess, fit growing parts of the trajectories, one call each.
 
     Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B takes
@@ -137,11 +137,8 @@ def fit_motions(
         total = jnp.sum(scale**2 * (jnp.sqrt(1 + (counted(error) / scale) ** 2) - 1))
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
-    def price(z: Array, theta: Array, x: Array, held: Array, push: Array) -> Array:
-        return cost(motion(z, theta, held, push).x - x)
-
-    def blocks(z: Array, theta: Array, x: Array, held: Array, push: Array, together: bool) -> Any:
-        """Compute matrix, slope and value of the quadratic model of one motion's cost, in z or in (z, θ)."""
+    def blocks(z: Array, theta: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array, Array, Array]:
+        """Compute matrix, slope and value of the quadratic model of one motion's cost in (z, θ), and its path."""
         path = motion(z, theta, held, push)
         states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
         inputs = jnp.broadcast_to(push[None], (length, push.shape[0])) if push.ndim == 1 else push
@@ -154,13 +151,12 @@ def fit_motions(
             return model(theta).law.acceleration(state[:dim], state[dim:], push)
 
         transitions = jax.vmap(jax.jacfwd(step))(states[:-1], inputs[:-1])
-        first = jax.jacfwd(projected)(z, theta, held)
-        pushes = jnp.zeros((length - 1, size, 0))
-        if together:
+        first = jnp.concatenate([jax.jacfwd(projected)(z, theta, held), jnp.zeros((size, flat.size))], axis=1)
+        slopes = jnp.zeros((length, dim, 0))
+        if flat.size:
             slopes = jax.vmap(lambda state, push: jax.jacrev(accelerate)(theta, state, push))(states, inputs)
-            here, then = slopes[:-1], slopes[1:]
-            pushes = jnp.concatenate([dt**2 / 6 * (2 * here + then), dt / 2 * (here + then)], axis=1)
-            first = jnp.concatenate([first, jnp.zeros((size, flat.size))], axis=1)
+        here, then = slopes[:-1], slopes[1:]
+        pushes = jnp.concatenate([dt**2 / 6 * (2 * here + then), dt / 2 * (here + then)], axis=1)
         pushes = jnp.concatenate([jnp.zeros((length - 1, size, size)), pushes], axis=2)
 
         def pass_frame(slope: Array, matrices: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -172,33 +168,19 @@ def fit_motions(
         error = counted(error)
         pull = slopes * jax.lax.rsqrt(1 + (error / scale) ** 2).reshape(-1, 1)
         matrix = jnp.matmul(pull.T, slopes, precision="highest")
-        return matrix, jnp.matmul(pull.T, error.reshape(-1), precision="highest"), cost(error)
+        return matrix, jnp.matmul(pull.T, error.reshape(-1), precision="highest"), cost(error), path.x
 
     def each(function, *arrays):
         return jax.lax.map(lambda args: function(*args), arrays, batch_size=min(chunk, count))
 
-    def search(z: Array, dampings: Array, theta: Array) -> tuple[Array, Array]:
-        """Take a step of each initial state; each motion has its own damping."""
+    def unfinished(carry: tuple) -> Array:
+        *_, stalls, taken = carry
+        return (stalls < _STALLS) & (taken < searches + iterations)
 
-        def one(z, damping, x, held, push):
-            matrix, slope, old = blocks(z, theta, x, held, push, False)
-            trial = z - jnp.linalg.solve(_damped(matrix, damping), slope)
-            better = price(trial, theta, x, held, push) < old
-            return jnp.where(better, trial, z), _next_damping(better, damping)
-
-        return each(one, z, dampings, observed, constants, u)
-
-    def fit_initial_states(carry, _):
-        return search(*carry, flat), None
-
-    def unfinished(carry):
-        _, stalls, taken = carry
-        return (stalls < _STALLS) & (taken < iterations)
-
-    def fit_all(carry):
-        (z, dampings, theta, damping, least, _), stalls, taken = carry
-        matrix, slope, old = each(
-            lambda z, x, held, push: blocks(z, theta, x, held, push, True), z, observed, constants, u
+    def improve(carry: tuple) -> tuple:
+        z, dampings, theta, damping, least, _, _, stalls, taken = carry
+        matrix, slope, old, paths = each(
+            lambda z, x, held, push: blocks(z, theta, x, held, push), z, observed, constants, u
         )
         inner = _damped(matrix[:, :size, :size], jnp.minimum(dampings, damping))
         mixed = matrix[:, :size, size:]
@@ -206,34 +188,38 @@ def fit_motions(
         alone = jnp.linalg.solve(inner, slope[:, :size, None])[..., 0]
         schur = matrix[:, size:, size:] - jnp.einsum("nzt,nzs->nts", mixed, by_theta, precision="highest")
         pull = slope[:, size:] - jnp.einsum("nzt,nz->nt", mixed, alone, precision="highest")
-        curvature = chosen[:, None] * jnp.sum(schur, axis=0) * chosen[None, :]
-        change = jnp.linalg.solve(_damped(curvature, damping), chosen * jnp.sum(pull, axis=0))
+        moves = jnp.where(taken < searches, 0.0, chosen)
+        curvature = jnp.sum(schur, axis=0)
+        change = jnp.linalg.solve(
+            _damped(moves[:, None] * curvature * moves[None, :], damping), moves * jnp.sum(pull, axis=0)
+        )
         new_theta = theta - change
         new_z = z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
 
-        def prices(z, new_z, x, held, push):
-            return [price(each, new_theta, x, held, push) for each in (z, new_z)]
+        def price(both: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array]:
+            paths = jax.vmap(lambda z: motion(z, new_theta, held, push).x)(both)
+            return jax.vmap(lambda path: cost(path - x))(paths), paths
 
-        stayed, moved = each(prices, z, new_z, observed, constants, u)
-        new_z = jnp.where((moved < stayed)[:, None], new_z, z)
-        total = jnp.sum(old)
-        better = jnp.sum(jnp.minimum(stayed, moved)) < total
-        z, theta = jnp.where(better, new_z, z), jnp.where(better, new_theta, theta)
-        z, dampings = search(z, dampings, theta)
-        # `total` is the cost that the step before has reached.
-        stalls = jnp.where(total < (1 - _GAIN) * least, 0, stalls + 1)
-        least = jnp.minimum(least, total)
-        return (z, dampings, theta, _next_damping(better, damping), least, curvature), stalls, taken + 1
+        prices, new_paths = each(price, jnp.stack([z, new_z], axis=1), observed, constants, u)
+        moved = prices[:, 1] < prices[:, 0]
+        total, reached = jnp.sum(old), jnp.sum(jnp.min(prices, axis=1))
+        better = reached < total
+        z = jnp.where((better & moved)[:, None], new_z, z)
+        theta = jnp.where(better, new_theta, theta)
+        chosen_paths = jnp.where(moved[:, None, None], new_paths[:, 1], new_paths[:, 0])
+        paths = jnp.where(better, chosen_paths, paths)
+        now = jnp.minimum(reached, total)
+        stalls = jnp.where((now < (1 - _GAIN) * least) | (taken < searches), 0, stalls + 1)
+        damping = jnp.where(taken < searches, damping, _next_damping(better, damping))
+        dampings = _next_damping(moved, dampings)
+        return z, dampings, theta, damping, now, curvature, paths, stalls, taken + 1
 
     start = rough_states(observed, dt) if initial is None else initial
     z = jnp.concatenate([start.x, clock * start.v], axis=1)
-    (z, dampings), _ = jax.lax.scan(fit_initial_states, (z, jnp.full(count, 1e-2)), length=searches)
     curvature = jnp.zeros((flat.size, flat.size))
-    if flat.size:
-        begin = (z, dampings, flat, jnp.array(1e-2), jnp.array(jnp.inf), curvature)
-        end, _, _ = jax.lax.while_loop(unfinished, fit_all, (begin, jnp.array(0), jnp.array(0)))
-        z, _, flat, _, _, curvature = end
-    paths = each(lambda z, held, push: motion(z, flat, held, push).x, z, constants, u)
+    begin = (z, jnp.full(count, 1e-2), flat, jnp.array(1e-2), jnp.array(jnp.inf), curvature, observed, 0, 0)
+    begin = jax.tree.map(jnp.asarray, begin)
+    z, _, flat, _, _, curvature, paths, _, _ = jax.lax.while_loop(unfinished, improve, begin)
     first = jax.vmap(lambda z, held: projected(z, flat, held))(z, constants)
     squares = jax.vmap(lambda error: jnp.sum(counted(error) ** 2))(paths - observed)
     errors = jnp.sqrt(squares / (jnp.sum(mask) * dim))

@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from keycld._errors import KeycldError
 from keycld.mechanics.constraints import AbstractConstraint, as_constraint
 from keycld.mechanics.linear import gram, solve_positive, times
 from keycld.mechanics.masses import AbstractMassMatrix

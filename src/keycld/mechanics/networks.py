@@ -4,7 +4,6 @@ Their activation is the paper's CELU, whose gradient is continuous: a force is t
 energy, and the kinks of a ReLU would make it jump.
 """
 
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp

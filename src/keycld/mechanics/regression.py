@@ -103,14 +103,14 @@ def _variants(law: ConstrainedLagrangian) -> list[ConstrainedLagrangian]:
     return laws
 
 
-def _force_columns(
-    law: ConstrainedLagrangian, free: PyTree, x: Array, v: Array, u: Array
-) -> tuple[np.ndarray, Any]:
+def _force_columns(law: ConstrainedLagrangian, free: PyTree, x: Array, v: Array, u: Array) -> tuple[np.ndarray, Any]:
     """Return ∂f/∂θ `[rows, dim, P]` and the function from θ to a pytree of the law's free leaves."""
     forces = eqx.tree_at(lambda law: law.mass, free, replace=jax.tree.map(lambda _: False, free.mass))
     parameters, rest = eqx.partition(law, forces)
     flat, unravel = ravel_pytree(parameters)
-    return np.asarray(_slopes(flat, unravel, rest, x, v, u), float), lambda theta: unravel(jnp.asarray(theta, flat.dtype))
+    return np.asarray(_slopes(flat, unravel, rest, x, v, u), float), lambda theta: unravel(
+        jnp.asarray(theta, flat.dtype)
+    )
 
 
 @eqx.filter_jit

@@ -58,7 +58,8 @@ def test_shared_constants_are_those_of_the_motion(pendulum, swing):
     """Keypoints observed 2 % too far from the pivot do not make the pendulum longer."""
     _, seen = swing
     own, shared = (
-        FittedInitialState(constants, ERROR)(pendulum, 1.02 * seen[:2], DT, NOTHING) for constants in (None, jnp.ones(1))
+        FittedInitialState(constants, ERROR)(pendulum, 1.02 * seen[:2], DT, NOTHING)
+        for constants in (None, jnp.ones(1))
     )
     assert float(jnp.linalg.norm(own.coordinates.x)) == pytest.approx(1.02, rel=1e-3)
     assert float(jnp.linalg.norm(shared.coordinates.x)) == pytest.approx(1.0, rel=1e-5)

@@ -61,7 +61,9 @@ def pictures(x):
 
 
 def measured(pendulum, x, prior):
-    return measure_velocity_prior(Observed(pendulum, FittedInitialState(jnp.ones(1), jnp.array([3e-3])), prior), pictures(x))[0]
+    return measure_velocity_prior(
+        Observed(pendulum, FittedInitialState(jnp.ones(1), jnp.array([3e-3])), prior), pictures(x)
+    )[0]
 
 
 def after_rest(pendulum, angle, frames):

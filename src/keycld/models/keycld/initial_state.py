@@ -18,7 +18,6 @@ from keycld.mechanics import (
     solve_positive,
 )
 
-
 # ν of Student's t: the tails of observation errors.
 _TAIL = 4
 
@@ -53,7 +52,6 @@ class AbstractInitialState(eqx.Module):
             dt: seconds between frames.
             u: constant `[l]`, or `[≥ given − 1, l]` from the first frame on.
         """
-
 
     def smooth(
         self, dynamics: AbstractDynamics, x: Float[Array, "n dim"], dt: Float[Array, ""], u: Float[Array, "..."]

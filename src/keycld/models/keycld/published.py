@@ -125,7 +125,5 @@ def plain_initial_state(given: int) -> AbstractInitialState:
         KeycldError: another number of given frames.
     """
     if given not in (2, 3):
-        raise KeycldError(
-            f"a velocity by differences needs 2 or 3 given frames, not {given}."
-        )
+        raise KeycldError(f"a velocity by differences needs 2 or 3 given frames, not {given}.")
     return DifferenceInitialState() if given == 2 else CentralInitialState()
