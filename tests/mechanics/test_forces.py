@@ -105,7 +105,7 @@ def test_dry_friction_stops_a_block_on_a_rail():
     """It slides v²/2c far, in v/c seconds."""
     rail = Constraints(("block",), (OnLine("block"),))
     friction = SumDissipation({"coulomb": CoulombFriction(jnp.array([2.0]))})
-    block = eqx.tree_at(lambda l: l.dissipation, law([1.0], rail), friction, is_leaf=lambda leaf: leaf is None)
+    block = eqx.tree_at(lambda it: it.dissipation, law([1.0], rail), friction, is_leaf=lambda leaf: leaf is None)
     state = State(Motion(jnp.zeros(2), jnp.array([1.0, 0.0])), {"constants": jnp.zeros(1)})
     motion = MechanicalDynamics(block, Rattle(4)).rollout(state, jnp.zeros(0), 0.02, 50)
     assert float(motion.x[-1, 0]) == pytest.approx(0.25, rel=0.02)
@@ -116,12 +116,12 @@ def test_energy_falls_as_the_dissipation_function_says():
     """dE/dt = −v·∂R/∂v along a motion of a double pendulum with all kinds of friction."""
     kinds = ("viscous", "joints", "coulomb", "drag")
     slowed = with_kinds(
-        eqx.tree_at(lambda l: l.potential, double_pendulum(), SumPotential(jnp.array([0.0, 9.8, 0.0, 6.9]), {})),
+        eqx.tree_at(lambda it: it.potential, double_pendulum(), SumPotential(jnp.array([0.0, 9.8, 0.0, 6.9]), {})),
         kinds,
         key=KEY,
     )
     slowed = eqx.tree_at(
-        lambda l: l.dissipation, slowed, jax.tree.map(lambda a: a + 0.1 * jnp.eye(*a.shape) if a.ndim == 2 else a + 0.1,
+        lambda it: it.dissipation, slowed, jax.tree.map(lambda a: a + 0.1 * jnp.eye(*a.shape) if a.ndim == 2 else a + 0.1,
                                                       slowed.dissipation)
     )  # fmt: skip
     assert set(terms_of(slowed)) == set(kinds)

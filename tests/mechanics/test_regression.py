@@ -44,8 +44,11 @@ def chain(q):
 
 def test_masses_gravity_and_friction_of_a_double_pendulum(paths):
     true, seen = paths
-    guess = eqx.tree_at(lambda l: (l.mass, l.potential), true, (CoupledMasses.ones(2), SumPotential(jnp.zeros(4), {})))
-    guess = with_kinds(eqx.tree_at(lambda l: l.dissipation, guess, None), ("springs", "viscous"), key=jax.random.key(0))
+    blank = (CoupledMasses.ones(2), SumPotential(jnp.zeros(4), {}))
+    guess = eqx.tree_at(lambda it: (it.mass, it.potential), true, blank)
+    guess = with_kinds(
+        eqx.tree_at(lambda it: it.dissipation, guess, None), ("springs", "viscous"), key=jax.random.key(0)
+    )
     found = regress_forces(guess, jax.tree.map(eqx.is_inexact_array, guess), seen, jnp.zeros((40, 0)), DT)
     x, v, u = on_circle([0.7, -0.4]), jnp.array([0.4, 0.3, 0.0, 0.5]), jnp.zeros(0)
     v = true.project_velocity(x, v)

@@ -78,9 +78,6 @@ def score_states(
     fit, observed = observed_states(model, data, "validation"), observed_states(model, data, *scored)
     probe = fit_probe(system, *fit, shared.guesses(), shared.angles)
     scores, curves = probe_scores(probe, fit, observed, rolled)
-    if (
-        isinstance(model, HasLagrangian)
-        and (error := acceleration_error(model, probe, fit, data, scored[0])) is not None
-    ):
-        scores["acceleration"] = error
+    if isinstance(model, HasLagrangian):
+        scores["acceleration"] = acceleration_error(model, probe, fit, data, scored[0])
     return scores, curves, len(fit[0]) + len(observed[0])

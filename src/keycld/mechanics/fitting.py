@@ -237,10 +237,10 @@ def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
 
 def _damped(matrix: Array, damping: Array) -> Array:
     """Add the damped diagonal (Marquardt 1963); directions without curvature, such as a factor of M and V, get some."""
-    size = matrix.shape[-1]
     diagonal = jnp.diagonal(matrix, axis1=-2, axis2=-1)
-    diagonal = jnp.maximum(diagonal, _FLAT * jnp.max(diagonal, axis=-1, keepdims=True)) + 1e-12
-    return matrix + jax.vmap(jnp.diag)((damping[..., None] * diagonal).reshape(-1, size)).reshape(matrix.shape)
+    largest = jnp.max(diagonal, axis=-1, keepdims=True, initial=0.0)
+    diagonal = jnp.maximum(diagonal, _FLAT * largest) + 1e-12
+    return matrix + (damping[..., None] * diagonal)[..., None] * jnp.eye(matrix.shape[-1])
 
 
 def _next_damping(better: Array, damping: Array) -> Array:

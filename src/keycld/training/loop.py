@@ -152,11 +152,7 @@ def train_stages(
             current, (_, rest) = progress, initial_progress(stage, model)
         else:
             data = _moved(data, source.at(before[number]))
-            models = (
-                [model]
-                if stage.candidates == 1
-                else [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
-            )
+            models = [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
             current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
         done = int(current.step)
         clock.frames += per_step * done * len(models)

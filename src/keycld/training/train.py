@@ -21,7 +21,7 @@ from keycld.models.base import AbstractModel
 from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays, read_position
 from keycld.training.loop import train_stages
 from keycld.training.memory import keep_freed_memory
-from keycld.training.run_folder import RunConfig, open_run, read_config
+from keycld.training.run_folder import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.trackers import make_tracker
 
 # Largest number of trajectories in the validation score.
