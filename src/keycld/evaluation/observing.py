@@ -72,7 +72,8 @@ def score_states(
         rolled: predicted keypoints `[N, T, K, 2]` and true states `[N, T, d]`.
 
     Returns:
-        scores and curves of `probe_scores`, with `acceleration` of `acceleration_error`, and the number of frames that passed through the encoder.
+        scores and curves of `probe_scores`, with `acceleration` of `acceleration_error`, and the number of frames that
+        passed through the encoder.
     """
     assert shared.angles is not None
     fit, observed = observed_states(model, data, "validation"), observed_states(model, data, *scored)

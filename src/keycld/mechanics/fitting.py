@@ -240,7 +240,8 @@ def _damped(matrix: Array, damping: Array) -> Array:
     diagonal = jnp.diagonal(matrix, axis1=-2, axis2=-1)
     largest = jnp.max(diagonal, axis=-1, keepdims=True, initial=0.0)
     diagonal = jnp.maximum(diagonal, _FLAT * largest) + 1e-12
-    return matrix + (damping[..., None] * diagonal)[..., None] * jnp.eye(matrix.shape[-1])
+    unit = jnp.eye(matrix.shape[-1]).reshape(*[1] * (matrix.ndim - 2), *matrix.shape[-2:])
+    return matrix + (damping[..., None] * diagonal)[..., None] * unit
 
 
 def _next_damping(better: Array, damping: Array) -> Array:

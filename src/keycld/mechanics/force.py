@@ -4,7 +4,7 @@ import abc
 import importlib
 import pkgutil
 from collections.abc import Mapping, Sequence
-from typing import ClassVar, Self, TypeVar
+from typing import ClassVar, TypeVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -38,7 +38,7 @@ class AbstractTerm(eqx.Module):
 
     @classmethod
     @abc.abstractmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self | None:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "AbstractTerm | None":
         """Return the term with no effect yet, or None if it has no meaning for these keypoints.
 
         Args:
@@ -46,7 +46,7 @@ class AbstractTerm(eqx.Module):
             key: for random weights.
         """
 
-    def candidates(self) -> tuple[Self, ...]:
+    def candidates(self) -> "tuple[AbstractTerm, ...]":
         """Return variants of the term that differ in parameters it is not linear in; only itself by default.
 
         The first guess of a fit tries each.

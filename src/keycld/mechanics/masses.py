@@ -1,7 +1,7 @@
 """Mass matrices between keypoints, positive by construction (paper, eq. (14))."""
 
 import abc
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import equinox as eqx
 import jax
@@ -32,7 +32,7 @@ class AbstractMassMatrix(eqx.Module):
     """Whether m may have elements off the diagonal."""
 
     @abc.abstractmethod
-    def nearest(self, matrix: Float[np.ndarray, "K K"]) -> Self:
+    def nearest(self, matrix: Float[np.ndarray, "K K"]) -> "AbstractMassMatrix":
         """Return masses of the same kind with this positive definite m, or with its diagonal."""
 
 

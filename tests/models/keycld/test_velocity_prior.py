@@ -151,7 +151,7 @@ def test_recordings_from_the_middle_of_motions_give_no_prior(pendulum):
     x = recorded(pendulum, thrown)
     model = measured(pendulum, x, VelocityPrior.unknown())
     seen = jax.vmap(lambda x: model.initial_state(pendulum, x[:2], DT, NOTHING))(x)
-    found = jax.vmap(lambda s: model.velocity_prior(pendulum, s, None, NOTHING))(seen)
+    found = jax.vmap(lambda s: model.velocity_prior(pendulum, s, NOTHING))(seen)
     off = jnp.abs(rates(found) - rates(seen))
     assert float(jnp.max(off)) < 0.2 * OBSERVATION
 
@@ -169,5 +169,5 @@ def test_redundant_constraints_give_finite_numbers(pendulum):
     model = measure_velocity_prior(unknown, pictures(x))[0]
     assert twice.law.freedom == 1
     assert float(model.velocity_prior.elapsed) == pytest.approx(float(DT), rel=0.2)
-    state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), None, NOTHING)
+    state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), NOTHING)
     assert bool(jnp.all(jnp.isfinite(state.coordinates.v)))

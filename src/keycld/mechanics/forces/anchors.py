@@ -1,7 +1,5 @@
 """Springs with a rest length from keypoints to fixed points."""
 
-from typing import Self
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -32,12 +30,12 @@ class Anchors(AbstractPotentialTerm):
     point: Float[Array, "K 2"]
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "Anchors":
         """Return no force, with all points in the image centre."""
         count = constraint.dimension // 2
         return cls(jnp.zeros((count,)), jnp.zeros((count, 2)))
 
-    def candidates(self) -> tuple[Self, ...]:
+    def candidates(self) -> "tuple[Anchors, ...]":
         """Return the same term with its points on a grid over the picture and around it."""
         grid = np.linspace(-1.5, 1.5, 7)
         points = [jnp.broadcast_to(jnp.array([x, y]), self.point.shape) for x in grid for y in grid]

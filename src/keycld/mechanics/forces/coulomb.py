@@ -1,7 +1,5 @@
 """Dry friction."""
 
-from typing import Self
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -27,7 +25,7 @@ class CoulombFriction(AbstractDissipationTerm):
     strength: Float[Array, "K"]
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "CoulombFriction":
         """Return c = 0."""
         return cls(jnp.zeros((constraint.dimension // 2,)))
 

@@ -1,7 +1,5 @@
 """Drag in a fluid."""
 
-from typing import Self
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -24,7 +22,7 @@ class Drag(AbstractDissipationTerm):
     strength: Float[Array, "K"]
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "Drag":
         """Return d = 0."""
         return cls(jnp.zeros((constraint.dimension // 2,)))
 

@@ -1,7 +1,5 @@
 """Friction of hinges."""
 
-from typing import Self
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -38,7 +36,7 @@ class JointFriction(AbstractDissipationTerm):
     hinges: tuple[tuple[float, ...], ...] = eqx.field(static=True)
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self | None:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "JointFriction | None":
         """Return no friction; None without links."""
         links = [item for item in _items(constraint) if isinstance(item, (FixedDistance, DistanceToPoint))]
         links = [link for link in links if isinstance(link.origin({}), tuple)] if links else []

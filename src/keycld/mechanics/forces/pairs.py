@@ -1,7 +1,5 @@
 """Forces between two keypoints along the line through them."""
 
-from typing import Self
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
@@ -33,7 +31,7 @@ class PairForces(AbstractPotentialTerm):
     second: tuple[int, ...] = eqx.field(static=True)
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self | None:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "PairForces | None":
         """Return no force; None for a single keypoint."""
         first, second = np.triu_indices(constraint.dimension // 2, 1)
         if not first.size:

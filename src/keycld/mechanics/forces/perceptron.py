@@ -1,7 +1,7 @@
 """A potential energy of any form."""
 
 import math
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -28,7 +28,7 @@ class PerceptronPotential(AbstractPotentialTerm):
     perceptron: Perceptron
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "PerceptronPotential":
         """Return V = 0, but with hidden units that are not zero: least squares can begin."""
         perceptron = Perceptron((constraint.dimension, cls.width, cls.width, 1), key)
         *hidden, last = perceptron.kernels

@@ -1,7 +1,5 @@
 """Springs that act in proportion to displacements."""
 
-from typing import Self
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -25,7 +23,7 @@ class Springs(AbstractPotentialTerm):
     stiffness: Float[Array, "K K"]
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "Springs":
         """Return S = 0."""
         count = constraint.dimension // 2
         return cls(jnp.zeros((count, count)))

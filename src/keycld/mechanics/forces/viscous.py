@@ -1,7 +1,5 @@
 """Friction in proportion to velocity."""
 
-from typing import Self
-
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
@@ -26,7 +24,7 @@ class ViscousFriction(AbstractDissipationTerm):
     coefficients: Float[Array, "K K"]
 
     @classmethod
-    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> Self:
+    def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "ViscousFriction":
         """Return C = 0."""
         count = constraint.dimension // 2
         return cls(jnp.zeros((count, count)))

@@ -101,7 +101,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)
-        return self.velocity_prior(self.dynamics, state, covariance, u if u.ndim == 1 else u[0])
+        return self.velocity_prior(self.dynamics, state, u if u.ndim == 1 else u[0], covariance)
 
     def rollout(self, state: State, dt: Float[Array, ""], u: Float[Array, "..."], steps: int) -> State:
         """Integrate the dynamics; the constants of the constraints stay those of the given state."""

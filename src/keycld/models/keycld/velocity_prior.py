@@ -51,16 +51,16 @@ class VelocityPrior(eqx.Module):
         self,
         dynamics: MechanicalDynamics,
         state: State,
-        covariance: Float[Array, "size size"] | None,
         u: Float[Array, "l"],
+        covariance: Float[Array, "size size"] | None = None,
     ) -> State:
         """Return the state with the expected velocity v̂, and the position moved as far as it depends on the velocity.
 
         Args:
             dynamics: with a constrained Lagrangian, which gives a and n.
             state: at the first frame, with the observed velocity v_s.
-            covariance: of (x, v_s) [4K, 4K]; None: the velocity's is σ_s², that of two frames.
             u: the input at that frame.
+            covariance: of (x, v_s) [4K, 4K]; None: the velocity's is σ_s², that of two frames.
         """
         law, (x, v) = dynamics.law, state.coordinates
         assert isinstance(law, ConstrainedLagrangian)
