@@ -21,7 +21,7 @@ def test_settings_are_changed_by_name_and_checked():
         ({"vision": {"step": 3}}, "did you mean 'vision.steps'"),
         ({"first_frame": 3}, "did you mean 'first_frames'"),
         ({"vision": 3}, "setting vision of preset 'fast' is a group"),
-        ({"given": 0}, "given is at least 1, not 0"),
+        ({"groups": 0}, "groups is at least 1, not 0"),
         ({"vision": {"batch": 0}}, "batch is at least 1, not 0"),
         ({"joint": {"rate": -1.0}}, "joint.rate is a finite number of at least 0, not -1"),
         ({"joint": {"rate": float("nan")}}, "joint.rate is a finite number of at least 0, not nan"),

@@ -154,7 +154,9 @@ def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
 
 def _checked(value: Any, old: Any, what: str) -> Any:
     """Return the value, converted to the type of the setting that it replaces."""
-    if old is None or isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
+    if old in (None, ()):
+        return tuple(value) if isinstance(value, list) else value
+    if isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
         return value
     if isinstance(old, tuple):
         value = tuple(value) if isinstance(value, (list, tuple)) else (value,)

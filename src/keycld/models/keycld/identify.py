@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from keycld.mechanics import (
+    AbstractDissipationTerm,
     ConstrainedLagrangian,
     Fitted,
     MechanicalDynamics,
@@ -83,7 +84,7 @@ def identify(
         dynamics, initial = fitted.dynamics, fitted.initial
     if terms is not None:
         return Identified(dynamics, float(fitted.rms), {})
-    kept, worth = _selected(fitted)
+    kept, worth = _selected(fitted, dt)
     pruned = with_terms(dynamics.law, {kind: term for kind, term in terms_of(dynamics.law).items() if kind in kept})
     dynamics = eqx.tree_at(lambda d: d.law, dynamics, pruned)
     fitted = _fitted(dynamics, x, u, dt, constants, fitted.initial)
@@ -152,8 +153,11 @@ def _free(dynamics: Any) -> Any:
     return jax.tree_util.tree_map_with_path(free, dynamics)
 
 
-def _selected(fitted: Fitted) -> tuple[set[str], dict[str, float]]:
-    """Return the kinds of the terms that are worth their parameters, and the worth of each when it was judged last."""
+def _selected(fitted: Fitted, dt: jax.Array) -> tuple[set[str], dict[str, float]]:
+    """Return the kinds of the terms that are worth their parameters, and the worth of each.
+
+    A dissipation that gives energy on average is worth nothing.
+    """
     parameters = eqx.filter(fitted.dynamics, _free(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(fitted.dynamics.law)
@@ -174,12 +178,23 @@ def _selected(fitted: Fitted) -> tuple[set[str], dict[str, float]]:
     kept, worth = set(kinds), {}
     for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
         group, others = linear & (owners == kind), _others(owners, kept, kind)
-        worth[kind] = _rise(curvature, flat, group, others) / float(fitted.cost)
+        term, gives = kinds[kind], False
+        if isinstance(term, AbstractDissipationTerm):
+            gives = float(_power(term, fitted.paths, dt)) <= 0
+        worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
         if worth[kind] < _WORTH:
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)
     return kept, worth
+
+
+@eqx.filter_jit
+def _power(term: AbstractDissipationTerm, paths: jax.Array, dt: jax.Array) -> jax.Array:
+    """Return the mean power v·∂R/∂v that a term takes from motions `[N, T, 2K]`."""
+    x = paths[:, 1:-1].reshape(-1, paths.shape[-1])
+    v = ((paths[:, 2:] - paths[:, :-2]) / (2 * dt)).reshape(-1, paths.shape[-1])
+    return jnp.mean(jnp.sum(v * jax.vmap(jax.grad(term, argnums=1))(x, v), axis=1))
 
 
 def _others(owners: np.ndarray, kept: set[str], kind: str) -> np.ndarray:

@@ -41,7 +41,7 @@ class VisionStage:
     """Initial value of this weight for constraints on several keypoints; above zero."""
     joints: float = 0.85
     """Share of the steps in which constraints on several keypoints move only the joints."""
-    worst: float = 0.2
+    worst: float = 0.5
     """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
 
