@@ -168,7 +168,10 @@ def fit_motions(
         error = counted(error)
         pull = slopes * jax.lax.rsqrt(1 + (error / scale) ** 2).reshape(-1, 1)
         matrix = jnp.matmul(pull.T, slopes, precision="highest")
-        return matrix, jnp.matmul(pull.T, error.reshape(-1), precision="highest"), cost(error), path.x
+        slope = jnp.matmul(pull.T, error.reshape(-1), precision="highest")
+        # A motion whose derivatives overflow keeps its state, and θ does not hear of it.
+        sound = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(slope))
+        return jnp.where(sound, matrix, 0.0), jnp.where(sound, slope, 0.0), cost(error), path.x
 
     def each(function, *arrays):
         return jax.lax.map(lambda args: function(*args), arrays, batch_size=min(chunk, count))
@@ -228,9 +231,9 @@ def fit_motions(
 
 
 def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
-    """Return positions and velocities `[N, dim]` at frame 0 of a parabola through the first seven frames."""
-    window = min(7, observed.shape[1])
-    powers = np.linalg.pinv(np.vander(np.arange(window), min(3, window), increasing=True))
+    """Return positions and velocities `[N, dim]` at frame 0 of a cubic through the first five frames."""
+    window = min(5, observed.shape[1])
+    powers = np.linalg.pinv(np.vander(np.arange(window), min(4, window), increasing=True))
     x, v = (jnp.einsum("t,ntd->nd", jnp.asarray(row, observed.dtype), observed[:, :window]) for row in powers[:2])
     return Motion(x, v / dt)
 
