@@ -165,7 +165,7 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
     (old / "config.json").write_text(json.dumps(config))
     loaded, now = load_run(old)
     assert_same(model, loaded)
-    assert now.settings["vision"] == settings["vision"] | {"worst": 0.5} and now.settings["joint"]["rate"] == 2e-3
+    assert now.settings["vision"] == settings["vision"] | {"worst": 0.2} and now.settings["joint"]["rate"] == 2e-3
     assert now.settings["joint"]["steps"] == 2000 and now.scene["dt"] == 0.05
 
 

@@ -41,7 +41,7 @@ class VisionStage:
     """Initial value of this weight for constraints on several keypoints; above zero."""
     joints: float = 0.85
     """Share of the steps in which constraints on several keypoints move only the joints."""
-    worst: float = 0.5
+    worst: float = 0.2
     """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
 
@@ -59,7 +59,7 @@ class DynamicsStage:
     """Frames that a clip spans; each value holds for an equal part of the steps."""
     scale: float = 0.1
     """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
-    worst: float = 0.5
+    worst: float = 0.25
     """Error of fitted motions, as a share of that of constant accelerations, above which the stage has failed."""
 
 
