@@ -72,8 +72,7 @@ def identify(
         pixel: size of a pixel, image-plane units.
         terms: kinds of the terms; None: those that the motion asks for.
     """
-    law = dynamics.law
-    assert isinstance(law, ConstrainedLagrangian)
+    law = _lagrangian(dynamics)
     kinds = tuple(kind for kind, term in term_kinds().items() if term.tried) if terms is None else terms
     law = with_kinds(_affine(law), kinds, key=jax.random.key(0))
     law = regress_forces(law, _free(law), x, u, dt)
@@ -85,11 +84,12 @@ def identify(
     if terms is not None:
         return Identified(dynamics, float(fitted.rms), {})
     kept, worth = _selected(fitted, dt)
-    pruned = with_terms(dynamics.law, {kind: term for kind, term in terms_of(dynamics.law).items() if kind in kept})
+    law = _lagrangian(fitted.dynamics)
+    pruned = with_terms(law, {kind: term for kind, term in terms_of(law).items() if kind in kept})
     dynamics = eqx.tree_at(lambda d: d.law, dynamics, pruned)
     fitted = _fitted(dynamics, x, u, dt, constants, fitted.initial)
     if fitted.rms > 0.3 * pixel:
-        grown = with_kinds(fitted.dynamics.law, (_LAST_RESORT,), key=jax.random.key(0))
+        grown = with_kinds(_lagrangian(fitted.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
         more = _fitted(eqx.tree_at(lambda d: d.law, dynamics, grown), x, u, dt, constants, fitted.initial)
         worth[_LAST_RESORT] = float((fitted.cost - more.cost) / more.cost)
         if more.rms < 0.75 * fitted.rms:
@@ -138,6 +138,11 @@ def _fitted(
     )
 
 
+def _lagrangian(dynamics: MechanicalDynamics) -> ConstrainedLagrangian:
+    assert isinstance(dynamics.law, ConstrainedLagrangian)
+    return dynamics.law
+
+
 def _affine(law: ConstrainedLagrangian) -> ConstrainedLagrangian:
     """Return the law with V = 0, R = 0 and g = 0, all affine."""
     zero = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, law)
@@ -160,7 +165,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[set[str], dict[str, float]
     """
     parameters = eqx.filter(fitted.dynamics, _free(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
-    kinds = terms_of(fitted.dynamics.law)
+    kinds = terms_of(_lagrangian(fitted.dynamics))
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
         name = jax.tree_util.keystr(path)
         kind = next((kind for kind in kinds if f"terms['{kind}']" in name), None)

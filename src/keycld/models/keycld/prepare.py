@@ -76,7 +76,7 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
         terms: not used.
         worst: the largest share of the errors of constant acceleration that passes.
     """
-    if not isinstance(model, KeyCLD):
+    if not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
         return None
     x, u = _observed(model, data, _FITTED, first=1)
     pixel = 2 / max(data.shape[2:4])
