@@ -1,6 +1,7 @@
 """Identification of the law of motion from observed keypoints: which forces act, and how strong they are."""
 
 import dataclasses
+import functools
 from typing import Any
 
 import equinox as eqx
@@ -24,7 +25,7 @@ from keycld.mechanics import (
 )
 
 # A term stays if without it the cost of the fit would rise by this share.
-_WORTH = 0.05
+_WORTH = 0.2
 _LAST_RESORT = "perceptron"
 # Compiled once for each structure of the law.
 _fit = eqx.filter_jit(fit_motions)
@@ -57,11 +58,12 @@ def identify(
 ) -> Identified:
     """Find the terms of V and R that act, their parameters, masses and input matrix, from observed keypoints.
 
-    All terms are fitted together, first by regression of accelerations (`regress_forces`), then through the dynamics to
-    a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the cost would hardly rise
+    An affine V alone and all terms together are fitted, first by regression of accelerations (`regress_forces`), then
+    through the dynamics to a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the cost would hardly rise
     without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term, all others eliminated.
-    Those of the highest rank are judged first, and the others take over what they can. If what is left explains the
-    recordings badly, a potential energy of free form is added.
+    Those of the highest rank are judged first, and the others take over what they can. What is left is fitted again from
+    nothing, and stays if it is worth more than gravity alone. If the result explains the recordings badly, a potential
+    energy of free form is added.
 
     Args:
         dynamics: V affine; its parameters do not matter.
@@ -72,29 +74,42 @@ def identify(
         pixel: size of a pixel, image-plane units.
         terms: kinds of the terms; None: those that the motion asks for.
     """
-    law = _lagrangian(dynamics)
-    kinds = tuple(kind for kind, term in term_kinds().items() if term.tried) if terms is None else terms
-    law = with_kinds(_affine(law), kinds, key=jax.random.key(0))
-    law = regress_forces(law, _free(law), x, u, dt)
-    dynamics = eqx.tree_at(lambda d: d.law, dynamics, law)
+    ladder = functools.partial(_identified, dynamics, x, u, dt, constants)
+    if terms is not None:
+        fitted = ladder(terms)
+        return Identified(fitted.dynamics, float(fitted.rms), {})
+    best = ladder(())
+    everything = ladder(tuple(kind for kind, term in term_kinds().items() if term.tried))
+    kept, worth = _selected(everything, dt)
+    if kept:
+        selected = ladder(tuple(sorted(kept)))
+        if selected.cost < best.cost / (1 + _WORTH):
+            best = selected
+    if best.rms > 0.3 * pixel:
+        grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
+        more = _fitted(eqx.tree_at(lambda d: d.law, best.dynamics, grown), x, u, dt, constants, best.initial)
+        worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
+        if more.rms < 0.75 * best.rms:
+            best = more
+    return Identified(best.dynamics, float(best.rms), worth)
+
+
+def _identified(
+    dynamics: MechanicalDynamics,
+    x: jax.Array,
+    u: jax.Array,
+    dt: jax.Array,
+    constants: jax.Array | None,
+    kinds: tuple[str, ...],
+) -> Fitted:
+    """Fit an affine V with terms of these kinds, from nothing."""
+    law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
+    dynamics = eqx.tree_at(lambda d: d.law, dynamics, regress_forces(law, _free(law), x, u, dt))
     length, initial = x.shape[1], rough_states(x, dt)
-    for frames, iterations in ((length // 4, 8), (length // 2, 8), (length, 30)):
+    for frames, iterations in ((length // 4, 8), (length // 2, 8)):
         fitted = _fitted(dynamics, x, u, dt, constants, initial, frames, iterations)
         dynamics, initial = fitted.dynamics, fitted.initial
-    if terms is not None:
-        return Identified(dynamics, float(fitted.rms), {})
-    kept, worth = _selected(fitted, dt)
-    law = _lagrangian(fitted.dynamics)
-    pruned = with_terms(law, {kind: term for kind, term in terms_of(law).items() if kind in kept})
-    dynamics = eqx.tree_at(lambda d: d.law, dynamics, pruned)
-    fitted = _fitted(dynamics, x, u, dt, constants, fitted.initial)
-    if fitted.rms > 0.3 * pixel:
-        grown = with_kinds(_lagrangian(fitted.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
-        more = _fitted(eqx.tree_at(lambda d: d.law, dynamics, grown), x, u, dt, constants, fitted.initial)
-        worth[_LAST_RESORT] = float((fitted.cost - more.cost) / more.cost)
-        if more.rms < 0.75 * fitted.rms:
-            fitted = more
-    return Identified(fitted.dynamics, float(fitted.rms), worth)
+    return _fitted(dynamics, x, u, dt, constants, initial)
 
 
 def refit(
