@@ -34,6 +34,19 @@ def test_changed_conditions_leave_the_long_test_alone():
     assert long.conditions.initial_state == "released"
 
 
+def test_the_zoo_is_in_motion_in_all_files():
+    plan = splits("zoo")
+    assert [(split.seeds, split.frames) for split in plan] == [
+        ((0, 450), 50),
+        ((450, 500), 50),
+        ((500, 550), 50),
+        ((1000, 1050), 200),
+    ]
+    assert all(split.screened and split.conditions.initial_state == "moving" for split in plan)
+    assert [split.conditions.control for split in plan] == ["full", "full", "full", "none"]
+    assert plan[0].conditions.input == "constant"
+
+
 def test_bad_numbers_and_names():
     with pytest.raises(KeycldError, match="unknown protocol 'keycld-2023': did you mean"):
         splits("keycld-2023")

@@ -15,7 +15,7 @@ def make(
     out: Path | None = None,
     protocol: str | None = None,
     control: str | None = None,
-    initial_state: Literal["rest", "random", "upright"] | None = None,
+    initial_state: Literal["rest", "random", "upright", "moving"] | None = None,
     clip: bool | None = None,
     input: Literal["constant", "random-walk"] | None = None,
     size: Literal["default", "full"] = "default",
@@ -30,17 +30,18 @@ def make(
     """Make the data set of a system: pictures or states to render, true states, card, statistics, preview.
 
     Args:
-        system: pendulum, cartpole or acrobot, rendered by MuJoCo; or a set of "Which priors matter?" such as
-            toy/pendulum_colors, games/matching_pennies, md/lj_16 or room/circle (docs/datasets.md has all 17).
-            Interrupted work is resumed; finished data stay as they are.
+        system: pendulum, cartpole or acrobot, or one of the zoo such as zoo/four_bar (docs/systems.md has all twelve),
+            rendered by MuJoCo; or a set of "Which priors matter?" such as toy/pendulum_colors, games/matching_pennies,
+            md/lj_16 or room/circle (docs/datasets.md has all 17). Interrupted work is resumed; finished data stay as
+            they are.
         out: Folder; data/SYSTEM by default.
-        protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); for toy sets priors-released (the
-            configurations behind the published scores) or priors-paper (the text, where it differs). Default:
-            keycld-2022, priors-released.
+        protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); zoo for the zoo; for toy sets
+            priors-released (the configurations behind the published scores) or priors-paper (the text, where it
+            differs). Default: keycld-2022, zoo, priors-released.
         control: Which inputs act: none, under (the second does not), full, or the name of the only one that acts,
             such as elbow_torque; by default as in the protocol.
-        initial_state: rest, random, or upright (half of them near that pose, for control that must hold it);
-            by default as in the protocol.
+        initial_state: rest, random, upright (half of them near that pose, for control that must hold it),
+            or moving (anywhere in motion, zoo only); by default as in the protocol.
         clip: Whether the motors limit the input to their range; by default as in the protocol.
         input: constant in each recording, or a random-walk with one value for each frame; by default constant.
         size: full is the published size of the md and room sets, which takes hours; the others have it by default.
@@ -49,8 +50,8 @@ def make(
         validation: Recordings for validation.
         test: Recordings for the test.
         long: Recordings of the long test.
-        all: Make all files now; by default test_long.h5 of pendulum, cartpole and acrobot is made when it is first
-            needed, for example by keycld eval.
+        all: Make all files now; by default test_long.h5 of a mechanism in MuJoCo is made when it is first needed,
+            for example by keycld eval.
         workers: Renderer processes, at most four; by default one a core.
     """
     from keycld.data import ProgressBar, make_data

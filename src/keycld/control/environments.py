@@ -52,7 +52,7 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
     ):
         found = get(system)
         if not isinstance(found, AbstractMujocoSystem):
-            raise KeycldError(f"{system} is not simulated by MuJoCo: choose pendulum, cartpole or acrobot.")
+            raise KeycldError(f"{system} has no environment: choose pendulum, cartpole or acrobot.")
         if initial_state not in ("rest", "random"):
             raise KeycldError(f"the initial state of an environment is rest or random, not '{initial_state}'.")
         self.system = found

@@ -96,7 +96,9 @@ def swing_up(
             or that the system can reach; or the law cannot solve the problem.
     """
     if not isinstance(system, AbstractMujocoSystem):
-        raise KeycldError(f"{system.name} is not simulated by MuJoCo, so it cannot be controlled here.")
+        raise KeycldError(
+            f"{system.name} cannot be controlled here: choose a system such as pendulum, cartpole or acrobot."
+        )
     lagrangian, keypoint_model = require(model, HasLagrangian), require(model, HasKeypoints)
     names = system.input_names if input_names is None else input_names
     inputs = plant_inputs(lagrangian, names, system)

@@ -8,6 +8,7 @@ from keycld.systems.base import SweepPath as SweepPath
 from keycld.systems.discs import soft_discs as soft_discs
 from keycld.systems.initial_values import AbstractInitialValueSystem as AbstractInitialValueSystem
 from keycld.systems.mujoco.base import AbstractMujocoSystem as AbstractMujocoSystem
+from keycld.systems.mujoco.mechanism import AbstractWatchedMechanism as AbstractWatchedMechanism
 from keycld.systems.mujoco.rendering import is_software as is_software
 from keycld.systems.mujoco.rendering import renderer_name as renderer_name
 from keycld.systems.pictures import Pictures as Pictures
@@ -33,6 +34,7 @@ __all__ = [
     "AbstractMujocoSystem",
     "AbstractSampledSystem",
     "AbstractSystem",
+    "AbstractWatchedMechanism",
     "Conditions",
     "Pictures",
     "Recording",

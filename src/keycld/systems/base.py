@@ -24,7 +24,8 @@ class Conditions:
         initial_state: how runs begin: `"rest"`, dm_control's reset of its swing-up tasks; `"random"`, the journal
             version's, all positions and velocities random; `"upright"`, the same in half of the runs, and in the
             others close to upright, positions off by a normal 0.2 rad (or m) and velocities by 1/s; `"released"`,
-            released from rest at any position.
+            released from rest at any position; `"moving"`, anywhere in motion, with an energy in a range of the
+            system.
         input_limit: u is sampled uniformly from ± this.
         clip: whether the motors limit u to the system's `input_range`.
         input: `"constant"` in a run, or a `"random-walk"`: held for a frame, then moved by a normal number of deviation
@@ -144,8 +145,10 @@ class AbstractMechanism(AbstractSystem):
     Attributes:
         input_range: the largest |u| of its motors where they are limited.
         initial_states: those of `Conditions.initial_state` that it knows.
+        protocol: that its data follow by default.
     """
 
+    protocol: ClassVar[str] = "keycld-2022"
     input_range: ClassVar[float]
     initial_states: ClassVar[tuple[str, ...]]
 

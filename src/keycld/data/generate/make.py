@@ -58,8 +58,9 @@ def make_data(
     Args:
         system: a name of `keycld.systems.names()`, or a system.
         out: the folder; by default `data/NAME`.
-        protocol: of a system with motors `"keycld-2022"` (arXiv v1, the default) or `"keycld-2024"` (journal version);
-            of a set of "Which priors matter?" one of the system's `protocols`, by default the first.
+        protocol: `"keycld-2022"` (arXiv v1), `"keycld-2024"` (journal version) or `"zoo"` for a mechanism, by default
+            the system's own: `"zoo"` for `zoo/…`, otherwise `"keycld-2022"`; of a set of "Which priors matter?" one of
+            the system's `protocols`, by default the first.
         control: which inputs act, instead of the protocol's choice. In test_long they are zero.
         initial_state: how runs begin, instead of the protocol's choice; not in test_long.
         clip: whether the motors limit the input, instead of the protocol's choice.

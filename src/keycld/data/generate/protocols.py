@@ -36,12 +36,15 @@ class Split:
 _CONDITIONS: Mapping[str, Conditions] = {
     "keycld-2022": Conditions(),
     "keycld-2024": Conditions(initial_state="random", input_limit=2.0, clip=False, idle_number=False),
+    "zoo": Conditions(initial_state="moving"),
 }
 PROTOCOLS = tuple(_CONDITIONS)
 # Seeds 0 ... 499 are the papers' (the last 50 for validation); no choice is ever made on the two test splits.
 _FIRST_SEED = {"train": 0, "validation": 450, "test": 500, "test_long": 1000}
 _RUNS = {"train": 450, "validation": 50, "test": 50, "test_long": 50}
 _FRAMES = {"train": 50, "validation": 50, "test": 50, "test_long": 500}
+# The zoo's frames are further apart in time than those of the papers' systems, and its friction ends some motions.
+_ZOO_LONG = 200
 
 
 def splits(
@@ -76,8 +79,9 @@ def splits(
     conditions = dataclasses.replace(
         _CONDITIONS[protocol], **{name: value for name, value in changes.items() if value is not None}
     )
-    released = Conditions(control="none", initial_state="released", clip=conditions.clip)
-    counts, lengths = dict(_RUNS), dict(_FRAMES)
+    zoo = protocol == "zoo"
+    undriven = Conditions(control="none", initial_state="moving" if zoo else "released", clip=conditions.clip)
+    counts, lengths = dict(_RUNS), _FRAMES | ({"test_long": _ZOO_LONG} if zoo else {})
     for given, numbers, least, what in ((runs, counts, 1, "runs"), (frames, lengths, 3, "frames")):
         for name, number in (given or {}).items():
             if name not in numbers:
@@ -90,8 +94,8 @@ def splits(
             name,
             (_FIRST_SEED[name], _FIRST_SEED[name] + counts[name]),
             lengths[name],
-            released if name == "test_long" else conditions,
-            screened=name == "test_long",
+            undriven if name == "test_long" else conditions,
+            screened=zoo or name == "test_long",
         )
         for name in _RUNS
     )

@@ -10,7 +10,7 @@ from keycld._errors import KeycldError
 from keycld._version import __version__
 from keycld.data.format.folder import PARTIAL, read_statistics
 from keycld.data.generate.parts import Part, make_part
-from keycld.data.generate.protocols import PROTOCOLS, Split, splits
+from keycld.data.generate.protocols import Split, splits
 from keycld.data.generate.sampled import Store, sampled_parts, sampled_recipe
 from keycld.data.generate.sweeps import make_sweeps
 from keycld.systems import AbstractMechanism, AbstractSampledSystem, AbstractSystem, Conditions, Task
@@ -47,7 +47,7 @@ def recipe_for(
         assert isinstance(system, AbstractMechanism)
         if size != "default" or store == "states":
             raise KeycldError(f"{system.name} has one size and pictures that MuJoCo renders: leave out size and store.")
-        protocol = protocol or PROTOCOLS[0]
+        protocol = protocol or system.protocol
         plan = splits(
             protocol, control=control, initial_state=initial_state, clip=clip, input=input, runs=runs, frames=frames
         )

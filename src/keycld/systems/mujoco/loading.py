@@ -45,12 +45,14 @@ def import_mujoco() -> Any:
     return mujoco
 
 
-def load_model(file: Path) -> Any:
-    """Return a new `MjModel` of an MJCF file.
+def load_model(source: Path | str) -> Any:
+    """Return a new `MjModel` of an MJCF file, or of MJCF itself where `source` is a string.
 
     Raises:
         KeycldError: there is no such file.
     """
-    if not file.is_file():
-        raise KeycldError(f"there is no model file {file}: put the system's MJCF there, next to its module.")
-    return import_mujoco().MjModel.from_xml_path(str(file))
+    if isinstance(source, str):
+        return import_mujoco().MjModel.from_xml_string(source)
+    if not source.is_file():
+        raise KeycldError(f"there is no model file {source}: put the system's MJCF there, next to its module.")
+    return import_mujoco().MjModel.from_xml_path(str(source))

@@ -25,13 +25,13 @@ class MujocoRenderer:
     On llvmpipe, renderers of several models in one process gave corrupted pictures: one system a process.
     """
 
-    def __init__(self, file: Path, size: int):
-        """Take the MJCF file of the model and the number of pixels of a side."""
-        self.file, self.size = file, size
+    def __init__(self, source: Path | str, size: int):
+        """Take the MJCF file of the model, or MJCF as a string, and the number of pixels of a side."""
+        self.source, self.size = source, size
 
     def __enter__(self) -> "MujocoRenderer":
         mujoco = import_mujoco()
-        self._model = load_model(self.file)
+        self._model = load_model(self.source)
         self._model.vis.quality.shadowsize = _SHADOW_MAP
         # A buffer no larger than the picture: the default of 640 x 480 is cleared for nothing in every frame.
         self._model.vis.global_.offwidth = self._model.vis.global_.offheight = self.size
@@ -47,11 +47,12 @@ class MujocoRenderer:
         self._renderer.close()
 
     def render(self, state: np.ndarray) -> np.ndarray:
-        """Return the picture, uint8 `[size, size, 3]`, of one state (qpos, qvel)."""
+        """Return the picture, uint8 `[size, size, 3]`, of one state, whose first components are qpos."""
         mujoco = import_mujoco()
         self._data.qpos[:] = state[: self._model.nq]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
+        mujoco.mj_tendon(self._model, self._data)
         self._renderer.update_scene(self._data, camera=0)
         return self._renderer.render()
 
