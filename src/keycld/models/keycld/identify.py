@@ -58,12 +58,12 @@ def identify(
 ) -> Identified:
     """Find the terms of V and R that act, their parameters, masses and input matrix, from observed keypoints.
 
-    An affine V alone and all terms together are fitted, first by regression of accelerations (`regress_forces`), then
-    through the dynamics to a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the cost would hardly rise
-    without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term, all others eliminated.
-    Those of the highest rank are judged first, and the others take over what they can. What is left is fitted again from
-    nothing, and stays if it is worth more than gravity alone. If the result explains the recordings badly, a potential
-    energy of free form is added.
+    An affine V alone and all terms together are fitted: first by regression of accelerations (`regress_forces`), then
+    through the dynamics to a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the
+    cost would hardly rise without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term,
+    all others eliminated. Those of the highest rank are judged first, and the others take over what they can. What is
+    left is fitted again from nothing, and stays if it is worth more than gravity alone. If the result explains the
+    recordings badly, a potential energy of free form is added.
 
     Args:
         dynamics: V affine; its parameters do not matter.
