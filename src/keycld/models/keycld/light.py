@@ -154,6 +154,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             constraint=first.constraint,
             coupling=first.coupling,
             joints=first.joints,
+            coverage=first.coverage,
             steps=float(first.steps),
             sigma=first.sigma,
         ),

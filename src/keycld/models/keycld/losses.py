@@ -37,6 +37,11 @@ class VisionLoss(AbstractLoss):
         joints: while t is less, constraints on several keypoints move only joints, not ends (`_ends`). A joint has one
             correct position. Before it is found, the end could make the distance constant as well, by errors of up to
             a pixel to either side of its part, and no dynamics moves like that.
+        coverage: w_c at t = 0, falling to 0 at t = 0.3, of the cross-entropy
+            C = −mean over frames of Σ_p e_p log Σ_k exp(−|x_p − x_k|²/2s²), s = 0.1,
+            with e the squared deviation from the mean frame, normalised. It spreads the keypoints over all that moves,
+            as a mixture of Gaussians would; reconstruction alone never moves a keypoint to a part that it is not near.
+            Two parts less than 2s apart would share a keypoint.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
@@ -45,6 +50,7 @@ class VisionLoss(AbstractLoss):
     constraint: tuple[float, float] = (100.0, 1000.0)
     coupling: float = 10.0
     joints: float = 0.85
+    coverage: float = 10.0
     steps: float = 1000.0
     sigma: float = 0.05
 
@@ -71,11 +77,12 @@ class VisionLoss(AbstractLoss):
             "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": jnp.sum(uneven),
         }
+        coverage = self.coverage * jnp.maximum(0.0, 1 - done / 0.3) * _uncovered(model, observed.keypoints, frames)
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
         total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + jnp.sum(weights * uneven)
-        return total, terms
+        return total + coverage, terms
 
 
 class TrackLoss(AbstractLoss):
@@ -256,6 +263,17 @@ def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
     couples = jnp.sum(jnp.any(slopes > 0, axis=0), axis=-1) > 1
     spread = (values - jnp.mean(values, axis=0)[None, :]) ** 2
     return jnp.mean(spread / (jnp.sum(slopes, axis=-1) + 1e-6), axis=0), couples
+
+
+def _uncovered(model: AbstractKeypointModel, keypoints: Array, frames: Array, scale: float = 0.1) -> Array:
+    """Return the coverage C of `VisionLoss` for keypoints `[batch, K, 2]` and their frames."""
+    _, height, width, _ = frames.shape
+    moving = jnp.sum((frames - model.estimator.standardise.mean[None]) ** 2, axis=3)
+    share = moving / (jnp.sum(moving, axis=(1, 2), keepdims=True) + 1e-12)
+    grid = image_grid(height, width, 1)
+    apart = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
+    near = jax.nn.logsumexp(-apart / (2 * scale**2), axis=-1)
+    return -jnp.mean(jnp.sum(share * near, axis=(1, 2)))
 
 
 def _ends(model: AbstractKeypointModel, x: Array) -> Array:

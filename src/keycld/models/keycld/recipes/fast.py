@@ -41,6 +41,8 @@ class VisionStage:
     """Initial value of this weight for constraints on several keypoints; above zero."""
     joints: float = 0.85
     """Share of the steps in which constraints on several keypoints move only the joints."""
+    coverage: float = 10.0
+    """Initial weight of the cross-entropy between all that moves and the keypoints; zero from 0.3 of the steps on."""
     worst: float = 0.2
     """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
