@@ -18,7 +18,7 @@ def demo(
 ) -> None:
     """Run everything on one system: data, training, evaluation, control, report.
 
-    The pendulum takes about eleven minutes on two CPU cores.
+    The pendulum takes about six minutes on two CPU cores.
 
     Args:
         system: pendulum, cartpole or acrobot.
