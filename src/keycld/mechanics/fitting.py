@@ -57,7 +57,7 @@ def fit_motions(
     active: PyTree | None = None,
     constants: Float[Array, "n"] | None = None,
     initial: Motion | None = None,
-    searches: int = 3,
+    searches: int | Int[Array, ""] = 3,
     iterations: int | Int[Array, ""] = 30,
     scale: float = 0.05,
     chunk: int = 50,

@@ -57,6 +57,7 @@ class Stage:
         trial: steps of each of these trials; the one with the lowest loss continues.
         judge: says after the last step what has failed, or None, from the model, the data and the last logged terms.
             Training then begins again with other initial weights.
+        retry: the loss in place of `loss` when training has begun again; None: the same.
         validate: whether the validation set is scored after the last step.
     """
 
@@ -74,6 +75,7 @@ class Stage:
     candidates: int = 1
     trial: int = 0
     judge: Callable[[Any, Resident, Mapping[str, float]], str | None] | None = None
+    retry: AbstractLoss | AbstractStatefulLoss | None = None
     validate: bool = False
 
     def labels(self, model: eqx.Module) -> list[str | None]:

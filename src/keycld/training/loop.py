@@ -108,7 +108,7 @@ def train_stages(
         data = source.at(before[first])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
-        started = None if position["done"] else initial_progress(stages[first], model)[0]
+        started = None if position["done"] else initial_progress(_stage(stages[first], failures), model)[0]
         state = load_arrays(checkpoint / STATE, _state(data, started), renamed)
         data = _with_cached(data, state["cached"])
         if started is None:
@@ -144,7 +144,7 @@ def train_stages(
 
     number = first
     while number < len(stages):
-        stage, again = stages[number], _MOST_CANDIDATES * len(failures)
+        stage, again = _stage(stages[number], failures), _MOST_CANDIDATES * len(failures)
         compiled = functools.cache(functools.partial(make_step, stage, number + again, seed))
         models = []
         pinned, per_step = _clips(stage, data)
@@ -218,6 +218,11 @@ def train_stages(
         number += 1
     write_verdict(folder, failures, passed=True)
     return model
+
+
+def _stage(stage: Stage, failures: list[str]) -> Stage:
+    """Return the stage as it is trained after so many failures."""
+    return dataclasses.replace(stage, loss=stage.retry) if failures and stage.retry is not None else stage
 
 
 def _attempt(failures: list[str]) -> str:

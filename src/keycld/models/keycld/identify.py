@@ -1,7 +1,7 @@
 """Identification of the law of motion from observed keypoints: which forces act, and how strong they are."""
 
 import dataclasses
-import functools
+from collections.abc import Iterable
 from typing import Any
 
 import equinox as eqx
@@ -27,6 +27,10 @@ from keycld.mechanics import (
 # A term stays if without it the cost of the fit would rise by this share.
 _WORTH = 0.2
 _LAST_RESORT = "perceptron"
+# About how many recordings all terms together are fitted to.
+_FEW = 50
+# Pixels of error with which a law explains the recordings well.
+_GOOD = 0.3
 # Compiled once for each structure of the law.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -74,20 +78,18 @@ def identify(
         pixel: size of a pixel, image-plane units.
         terms: kinds of the terms; None: those that the motion asks for.
     """
-    ladder = functools.partial(_identified, dynamics, x, u, dt, constants)
     if terms is not None:
-        fitted = ladder(terms)
+        fitted = _identified(dynamics, terms, x, u, dt, constants)
         return Identified(fitted.dynamics, float(fitted.rms), {})
-    best = ladder(())
-    everything = ladder(tuple(kind for kind, term in term_kinds().items() if term.tried))
-    kept, worth = _selected(everything, dt)
+    best = _identified(dynamics, (), x, u, dt, constants)
+    kept, worth = _selected(_with_everything(best, x, u, dt, constants, good=_GOOD * pixel), dt)
     if kept:
-        selected = ladder(tuple(sorted(kept)))
+        selected = _identified(dynamics, tuple(sorted(kept)), x, u, dt, constants)
         if selected.cost < best.cost / (1 + _WORTH):
             best = selected
-    if best.rms > 0.3 * pixel:
+    if best.rms > _GOOD * pixel:
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
-        more = _fitted(eqx.tree_at(lambda d: d.law, best.dynamics, grown), x, u, dt, constants, best.initial)
+        more = _fitted(_with_law(best.dynamics, grown), x, u, dt, constants, best.initial)
         worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
         if more.rms < 0.75 * best.rms:
             best = more
@@ -96,35 +98,79 @@ def identify(
 
 def _identified(
     dynamics: MechanicalDynamics,
+    kinds: tuple[str, ...],
     x: jax.Array,
     u: jax.Array,
     dt: jax.Array,
     constants: jax.Array | None,
-    kinds: tuple[str, ...],
 ) -> Fitted:
     """Fit an affine V with terms of these kinds, from nothing."""
     law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
-    dynamics = eqx.tree_at(lambda d: d.law, dynamics, regress_forces(law, _free(law), x, u, dt))
+    return _climb(_with_law(dynamics, regress_forces(law, _free(law), x, u, dt)), x, u, dt, constants)
+
+
+def _with_everything(
+    affine: Fitted, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None, *, good: float
+) -> Fitted:
+    """Fit all terms that are tried to some of the recordings: from the affine fit if its error is small."""
+    some, kinds = slice(None, None, max(1, len(x) // _FEW)), [k for k, term in term_kinds().items() if term.tried]
+    if affine.rms > good:
+        return _identified(affine.dynamics, tuple(kinds), x[some], u[some], dt, constants)
+    law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
+    initial = Motion(*(part[some] for part in affine.initial))
+    return _fitted(_with_law(affine.dynamics, law), x[some], u[some], dt, constants, initial)
+
+
+def _climb(
+    dynamics: MechanicalDynamics,
+    x: jax.Array,
+    u: jax.Array,
+    dt: jax.Array,
+    constants: jax.Array | None,
+    active: Any = None,
+) -> Fitted:
+    """Fit a quarter, half and the whole of the recordings, each from the result of the last."""
     length, initial = x.shape[1], rough_states(x, dt)
     for frames, iterations in ((length // 4, 8), (length // 2, 8)):
-        fitted = _fitted(dynamics, x, u, dt, constants, initial, frames, iterations)
+        fitted = _fitted(dynamics, x, u, dt, constants, initial, frames, iterations, active)
         dynamics, initial = fitted.dynamics, fitted.initial
-    return _fitted(dynamics, x, u, dt, constants, initial)
+    return _fitted(dynamics, x, u, dt, constants, initial, active=active)
 
 
 def refit(
-    dynamics: MechanicalDynamics, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None
+    dynamics: MechanicalDynamics,
+    x: jax.Array,
+    u: jax.Array,
+    dt: jax.Array,
+    constants: jax.Array | None,
+    *,
+    prune: bool = False,
 ) -> Fitted:
-    """Fit the parameters of the dynamics to these keypoints; the terms stay."""
-    return _fitted(dynamics, x, u, dt, constants)
+    """Fit the parameters of given dynamics to keypoints.
+
+    Args:
+        dynamics: near the solution.
+        x: observed keypoints `[N, T, 2K]`.
+        u: inputs.
+        dt: seconds between frames.
+        constants: values of Φ that all recordings share.
+        prune: drop the terms of V and R without which the cost would hardly rise, as in `identify`.
+    """
+    fitted = _fitted(dynamics, x, u, dt, constants)
+    law = _lagrangian(fitted.dynamics)
+    kept = _selected(fitted, dt)[0] if prune else set(terms_of(law))
+    if kept == set(terms_of(law)):
+        return fitted
+    fewer = with_terms(law, {kind: term for kind, term in terms_of(law).items() if kind in kept})
+    return _fitted(_with_law(fitted.dynamics, fewer), x, u, dt, constants, fitted.initial)
 
 
 def explain(
     dynamics: MechanicalDynamics, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None
 ) -> Fitted:
     """Fit the motions of given dynamics to keypoints; nothing but their initial states is free."""
-    free = jax.tree.map(lambda _: False, dynamics)
-    return _fit(dynamics, free, x, u, dt, constants=constants, searches=10)
+    still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
+    return _climb(dynamics, x, u, dt, constants, still)
 
 
 def _fitted(
@@ -136,21 +182,32 @@ def _fitted(
     initial: Motion | None = None,
     frames: int | None = None,
     iterations: int = 30,
+    active: Any = None,
 ) -> Fitted:
-    count = x.shape[1] if frames is None else frames
-    initial = rough_states(x, dt) if initial is None else initial
-    free = _free(dynamics)
+    if active is None:
+        active = jax.tree.map(lambda leaf: jnp.ones_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
     return _fit(
         dynamics,
-        free,
+        _free(dynamics),
         x,
         u,
         dt,
+        active=active,
         constants=constants,
-        initial=initial,
-        frames=jnp.array(count),
+        initial=rough_states(x, dt) if initial is None else initial,
+        frames=jnp.array(x.shape[1] if frames is None else frames),
         iterations=jnp.array(iterations),
     )
+
+
+def _with_law(dynamics: MechanicalDynamics, law: ConstrainedLagrangian) -> MechanicalDynamics:
+    return eqx.tree_at(lambda d: d.law, dynamics, law)
+
+
+def _owner(path: Any, kinds: Iterable[str]) -> str | None:
+    """Return the kind of the term that a leaf belongs to."""
+    name = jax.tree_util.keystr(path)
+    return next((kind for kind in kinds if f"terms['{kind}']" in name), None)
 
 
 def _lagrangian(dynamics: MechanicalDynamics) -> ConstrainedLagrangian:
@@ -183,7 +240,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[set[str], dict[str, float]
     kinds = terms_of(_lagrangian(fitted.dynamics))
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
         name = jax.tree_util.keystr(path)
-        kind = next((kind for kind in kinds if f"terms['{kind}']" in name), None)
+        kind = _owner(path, kinds)
         theta.append(np.asarray(leaf, float).ravel())
         owner += [kind] * leaf.size
         masses += [".mass." in name] * leaf.size

@@ -145,19 +145,20 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         scene: sizes of the data.
     """
     first, second, third = config.vision, config.dynamics, config.joint
+    images = VisionLoss(
+        heat_map=first.heat_map,
+        constraint=first.constraint,
+        coupling=first.coupling,
+        joints=first.joints,
+        steps=float(first.steps),
+        sigma=first.sigma,
+    )
     vision = Stage(
         name="vision",
         steps=first.steps,
         sampler=RandomFrames(first.batch),
-        loss=VisionLoss(
-            heat_map=first.heat_map,
-            constraint=first.constraint,
-            coupling=first.coupling,
-            joints=first.joints,
-            coverage=first.coverage,
-            steps=float(first.steps),
-            sigma=first.sigma,
-        ),
+        loss=images,
+        retry=dataclasses.replace(images, coverage=first.coverage),
         groups=(
             Group("estimator", lambda m: m.estimator, first.rate),
             Group("renderer", lambda m: m.renderer, first.rate),
@@ -206,7 +207,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
-    last = sequence(fit_dynamics, measure_velocity_prior)
+    last = sequence(functools.partial(fit_dynamics, prune=config.terms is None), measure_velocity_prior)
     prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
     return vision, dynamics, joint, prior
 

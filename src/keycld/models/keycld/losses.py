@@ -41,7 +41,7 @@ class VisionLoss(AbstractLoss):
             C = −mean over frames of Σ_p e_p log Σ_k exp(−|x_p − x_k|²/2s²), s = 0.1,
             with e the squared deviation from the mean frame, normalised. It spreads the keypoints over all that moves,
             as a mixture of Gaussians would; reconstruction alone never moves a keypoint to a part that it is not near.
-            Two parts less than 2s apart would share a keypoint.
+            Two parts less than 2s apart would share a keypoint, so it is for data on which 0, the default, has failed.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
@@ -50,7 +50,7 @@ class VisionLoss(AbstractLoss):
     constraint: tuple[float, float] = (100.0, 1000.0)
     coupling: float = 10.0
     joints: float = 0.85
-    coverage: float = 10.0
+    coverage: float = 0.0
     steps: float = 1000.0
     sigma: float = 0.05
 
@@ -268,6 +268,7 @@ def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
 def _uncovered(model: AbstractKeypointModel, keypoints: Array, frames: Array, scale: float = 0.1) -> Array:
     """Return the coverage C of `VisionLoss` for keypoints `[batch, K, 2]` and their frames."""
     _, height, width, _ = frames.shape
+    assert model.estimator.standardise is not None
     moving = jnp.sum((frames - model.estimator.standardise.mean[None]) ** 2, axis=3)
     share = moving / (jnp.sum(moving, axis=(1, 2), keepdims=True) + 1e-12)
     grid = image_grid(height, width, 1)

@@ -126,16 +126,13 @@ def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | No
     assert isinstance(model.dynamics, MechanicalDynamics)
     found = identify(model.dynamics, x, u, data.dt, model.constants, pixel=pixel, terms=terms)
     model = eqx.tree_at(lambda m: m.dynamics, model, found.dynamics)
-    acting = terms_of(model.law)
-    print(
-        f"dynamics     affine V{''.join(f', {kind}' for kind in acting)}; "
-        f"fitted paths are {found.rms / pixel:.2f} pixels from the keypoints",
-        flush=True,
-    )
+    _report(model, found.rms / pixel)
     return model, data
 
 
-def fit_dynamics(model: Any, data: Resident, *, trajectories: int = _FITTED) -> tuple[Any, Resident]:
+def fit_dynamics(
+    model: Any, data: Resident, *, trajectories: int = _FITTED, prune: bool = False
+) -> tuple[Any, Resident]:
     """Fit masses, V, g and R to the keypoints of some recordings, by least squares through the dynamics.
 
     Gradient steps on a few clips leave errors of several per cent in these numbers, about fifty, and such errors limit
@@ -146,14 +143,17 @@ def fit_dynamics(model: Any, data: Resident, *, trajectories: int = _FITTED) -> 
         model: the model whose dynamics are fitted.
         data: the training data.
         trajectories: about how many of the recordings are observed.
+        prune: drop terms of V and R that the motion does not ask for after all.
     """
     if not isinstance(model, KeyCLD):
         return model, data
     x, u = _observed(model, data, trajectories)
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
-    fitted = refit(model.dynamics, x, u, data.dt, model.constants)
+    fitted = refit(model.dynamics, x, u, data.dt, model.constants, prune=prune)
     model = eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics)
+    if prune:
+        _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
     # The median of |e| of a normal distribution is 0.67 σ.
     error = jnp.median(jnp.abs(fitted.paths - x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
     return eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5)), data
@@ -187,6 +187,11 @@ def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]
         return model, data
 
     return prepare
+
+
+def _report(model: KeyCLD, pixels: float) -> None:
+    acting = "".join(f", {kind}" for kind in terms_of(model.law))
+    print(f"dynamics     affine V{acting}; fitted paths are {pixels:.2f} pixels from the keypoints", flush=True)
 
 
 def _observed(model: Any, data: Resident, trajectories: int, first: int = 0) -> tuple[jax.Array, jax.Array]:

@@ -42,7 +42,8 @@ class VisionStage:
     joints: float = 0.85
     """Share of the steps in which constraints on several keypoints move only the joints."""
     coverage: float = 10.0
-    """Initial weight of the cross-entropy between all that moves and the keypoints; zero from 0.3 of the steps on."""
+    """After a failure: initial weight of the cross-entropy between all that moves and the keypoints; it falls to zero
+    at 0.3 of the steps."""
     worst: float = 0.2
     """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
