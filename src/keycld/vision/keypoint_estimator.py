@@ -45,13 +45,7 @@ class Standardise(eqx.Module):
 
 
 class AbstractEstimator(eqx.Module):
-    """From one frame to keypoints.
-
-    Attributes:
-        standardise: applied to the frame first, or None.
-    """
-
-    standardise: eqx.AbstractVar[Standardise | None]
+    """From one frame to keypoints."""
 
     @abstractmethod
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:

@@ -11,7 +11,7 @@ from keycld.data import Clip
 from keycld.mechanics import Scalar, State
 from keycld.models.keycld.model import AbstractKeypointModel
 from keycld.stages import AbstractLoss, Terms
-from keycld.vision import Observation, gaussian_maps, image_grid
+from keycld.vision import DenseEstimator, KeypointEstimator, Observation, gaussian_maps, image_grid
 
 
 class VisionLoss(AbstractLoss):
@@ -268,7 +268,7 @@ def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
 def _uncovered(model: AbstractKeypointModel, keypoints: Array, frames: Array, scale: float = 0.1) -> Array:
     """Return the coverage C of `VisionLoss` for keypoints `[batch, K, 2]` and their frames."""
     _, height, width, _ = frames.shape
-    assert model.estimator.standardise is not None
+    assert isinstance(model.estimator, (KeypointEstimator, DenseEstimator)) and model.estimator.standardise is not None
     moving = jnp.sum((frames - model.estimator.standardise.mean[None]) ** 2, axis=3)
     share = moving / (jnp.sum(moving, axis=(1, 2), keepdims=True) + 1e-12)
     grid = image_grid(height, width, 1)
