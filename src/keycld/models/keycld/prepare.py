@@ -20,6 +20,8 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
+# Pixels of error that need no explanation.
+_CLOSE = 0.3
 # About how many recordings a fit observes.
 _FITTED = 150
 
@@ -67,8 +69,8 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
     """Return what has failed in the dynamics stage, or None: the law may not explain how the keypoints move.
 
     The motions of the law that come nearest to the observed keypoints of other recordings than those it was identified
-    on are compared with those of constant velocity and constant acceleration, fitted alike, for each keypoint. One that
-    stands still fails too: nothing explains its noise.
+    on are compared with those of constant velocity and constant acceleration, fitted alike, for each keypoint. Errors
+    below 0.3 pixels always pass: a slow motion may be nearly of constant acceleration.
 
     Args:
         model: after the stage; None is returned for one without a Lagrangian.
@@ -87,8 +89,8 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
 
     law = errors(np.asarray(explain(model.dynamics, x, u, data.dt, model.constants).paths))
     straight, curved = (errors(_polynomials(seen, degree)) for degree in (1, 2))
-    k = int(np.argmax(law / curved))
-    if law[k] < worst * curved[k]:
+    k = int(np.argmax(law / np.maximum(curved, _CLOSE / worst)))
+    if law[k] < max(worst * curved[k], _CLOSE):
         return None
     return (
         f"no law was found that explains how keypoint {k + 1} moves: fitted motions are {law[k]:.2f} pixels from it, "
