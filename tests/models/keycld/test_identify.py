@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from keycld.data import Trajectories, resident
-from keycld.mechanics import Constraints, DistanceToPoint, OnLine
+from keycld.mechanics import Constraints, DistanceToPoint, OnLine, terms_of, with_kinds
 from keycld.models import Scene, config_for
-from keycld.models.keycld.prepare import identify_dynamics
+from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.vision import AbstractEstimator, Observation
 from scenes import DT, SIZE, disc_pendulum, draw
 
@@ -57,6 +57,19 @@ def test_the_spring_and_the_friction_of_a_cart(capsys):
         v = jnp.array([speed, 0.0])
         learned = jax.vmap(lambda x, v=v: found.law.acceleration(x, v, jnp.zeros(0)))(places)
         np.testing.assert_allclose(learned[:, 0], -16 * places[:, 0] - 0.5 * speed, atol=0.05 * 8)
+
+
+def test_terms_that_do_not_act_are_dropped_at_the_end(capsys):
+    phase, size = np.linspace(0, 6, 12)[:, None], np.linspace(0.2, 0.6, 12)[:, None]
+    x = size * np.sin(4 * DT * np.arange(FRAMES) + phase)
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    law = with_kinds(model.law, ("springs", "viscous", "coulomb"), key=jax.random.key(0))
+    data = recorded(x, np.zeros_like(x))
+    begun, _ = identify_dynamics(eqx.tree_at(lambda m: m.dynamics.law, model, law), data, terms=tuple(terms_of(law)))
+    kept, _ = fit_dynamics(begun, data)
+    assert set(terms_of(kept.law)) == {"springs", "viscous", "coulomb"}
+    left, _ = fit_dynamics(begun, data, prune=True)
+    assert set(terms_of(left.law)) == {"springs"} and "affine V, springs;" in capsys.readouterr().out
 
 
 def test_a_pendulum_has_gravity_alone(capsys):

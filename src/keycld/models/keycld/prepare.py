@@ -21,7 +21,7 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
 # Pixels of error that need no explanation.
-_CLOSE = 0.3
+_CLOSE = 0.5
 # About how many recordings a fit observes.
 _FITTED = 150
 
@@ -70,7 +70,7 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
 
     The motions of the law that come nearest to the observed keypoints of other recordings than those it was identified
     on are compared with those of constant velocity and constant acceleration, fitted alike, for each keypoint. Errors
-    below 0.3 pixels always pass: a slow motion may be nearly of constant acceleration.
+    below 0.5 pixels always pass: a slow motion may be nearly of constant acceleration.
 
     Args:
         model: after the stage; None is returned for one without a Lagrangian.
