@@ -22,8 +22,8 @@ from keycld.mechanics import (
     OnLine,
     PointMasses,
     Rattle,
-    SumPotential,
     State,
+    SumPotential,
 )
 
 BATCH, FRAMES, ROUNDS = 16, 48, 15

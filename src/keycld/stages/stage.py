@@ -55,9 +55,9 @@ class Stage:
             their shapes.
         candidates: number of random initialisations to try; only for a first stage.
         trial: steps of each of these trials; the one with the lowest loss continues.
+        alternative: loss of every second candidate in its trial; None: `loss`. Their values must be comparable.
         judge: says after the last step what has failed, or None, from the model, the data and the last logged terms.
             Training then begins again with other initial weights.
-        retry: the loss in place of `loss` when training has begun again; None: the same.
         validate: whether the validation set is scored after the last step.
     """
 
@@ -74,8 +74,8 @@ class Stage:
     refresh: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
     candidates: int = 1
     trial: int = 0
+    alternative: AbstractLoss | None = None
     judge: Callable[[Any, Resident, Mapping[str, float]], str | None] | None = None
-    retry: AbstractLoss | AbstractStatefulLoss | None = None
     validate: bool = False
 
     def labels(self, model: eqx.Module) -> list[str | None]:

@@ -108,7 +108,7 @@ def train_stages(
         data = source.at(before[first])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
-        started = None if position["done"] else initial_progress(_stage(stages[first], failures), model)[0]
+        started = None if position["done"] else initial_progress(stages[first], model)[0]
         state = load_arrays(checkpoint / STATE, _state(data, started), renamed)
         data = _with_cached(data, state["cached"])
         if started is None:
@@ -144,7 +144,7 @@ def train_stages(
 
     number = first
     while number < len(stages):
-        stage, again = _stage(stages[number], failures), _MOST_CANDIDATES * len(failures)
+        stage, again = stages[number], _MOST_CANDIDATES * len(failures)
         compiled = functools.cache(functools.partial(make_step, stage, number + again, seed))
         models = []
         pinned, per_step = _clips(stage, data)
@@ -153,7 +153,11 @@ def train_stages(
         else:
             data = _moved(data, source.at(before[number]))
             models = [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
-            current, rest, data = _best(stage, models, data, compiled, steps_per_dispatch)
+            other = compiled
+            if stage.alternative is not None:
+                differing = dataclasses.replace(stage, loss=stage.alternative)
+                other = functools.cache(functools.partial(make_step, differing, number + again, seed))
+            current, rest, data = _best(stage, models, data, (compiled, other), steps_per_dispatch)
         done = int(current.step)
         clock.frames += per_step * done * len(models)
         bar = Bar(stage.name, stage.steps)
@@ -220,29 +224,32 @@ def train_stages(
     return model
 
 
-def _stage(stage: Stage, failures: list[str]) -> Stage:
-    """Return the stage as it is trained after so many failures."""
-    return dataclasses.replace(stage, loss=stage.retry) if failures and stage.retry is not None else stage
-
-
 def _attempt(failures: list[str]) -> str:
     """Return a prefix of the names of checkpoints: none at first."""
     return f"again{len(failures)}-" if failures else ""
 
 
 def _best(
-    stage: Stage, models: list[AbstractModel], data: Resident, compiled: Callable[[int], Run], steps_per_dispatch: int
+    stage: Stage,
+    models: list[AbstractModel],
+    data: Resident,
+    compiled: tuple[Callable[[int], Run], Callable[[int], Run]],
+    steps_per_dispatch: int,
 ) -> tuple[Progress, Any, Resident]:
-    """Return the initial state of the stage; of several models, the state of the best one after the stage's trial."""
+    """Return the initial state of the stage; of several models, the state of the best one after the stage's trial.
+
+    The first of the two losses is for models with an even number, the second for the others.
+    """
     found = []
-    for model in models:
+    for number, model in enumerate(models):
         prepared, resident = (model, data) if stage.prepare is None else stage.prepare(model, data)
         progress, rest = initial_progress(stage, prepared)
         if len(models) == 1:
             return progress, rest, resident
         losses, trial = [], min(stage.trial, stage.steps)
         for done in range(0, trial, steps_per_dispatch):
-            progress, terms = compiled(min(steps_per_dispatch, trial - done))((rest, resident), progress)
+            run = compiled[number % 2](min(steps_per_dispatch, trial - done))
+            progress, terms = run((rest, resident), progress)
             losses.extend(np.asarray(terms["loss"]))
         # The mean over the last third, because the loss of one batch is noisy.
         score = float(np.mean(losses[-(trial // 3) :]))

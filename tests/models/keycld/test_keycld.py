@@ -8,7 +8,9 @@ from keycld._errors import KeycldError
 from keycld.data import Clip
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, MLPPotential, Rattle
 from keycld.models import Scene, config_for
+from keycld.models.keycld import losses
 from keycld.models.keycld.losses import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
+from keycld.vision import gaussian_maps, image_grid
 
 SCENE = Scene(height=16, width=16, inputs=1, frames=12, dt=0.05, trajectories=6)
 DISC = Constraints(("disc",), (DistanceToPoint("disc"),))
@@ -361,3 +363,17 @@ def test_the_initial_potential_of_the_paper_is_flat(getkey):
     potential = MLPPotential(4, key=getkey())
     values = jax.vmap(potential)(jax.random.uniform(getkey(), (50, 4), minval=-1, maxval=1))
     assert float(jnp.abs(values).max()) < 1e-3
+
+
+def test_coverage_pulls_a_keypoint_to_what_is_missing(getkey):
+    """Of two keypoints, one on the first disc and one near it: the pull of the second is towards the other disc."""
+    grid = image_grid(32, 32, 1)
+    discs = jnp.array([[-0.5, 0.0], [0.5, 0.0]])
+    frames = jnp.sum(gaussian_maps(discs, grid, 0.1), axis=-1)[None, ..., None] * jnp.ones(3)
+    rendered = gaussian_maps(discs[:1], grid, 0.1)[None] * jnp.ones(3)
+    model = fast(Constraints(("a", "b"), ()), width=8).build(SCENE, jax.random.key(0))
+    keypoints = jnp.array([[[-0.5, 0.0], [-0.3, 0.0]]])
+    pull = jax.grad(lambda x: losses._uncovered(model, x, rendered, frames))(keypoints)[0]
+    assert pull[1, 0] < 0 and jnp.abs(pull[0]).max() < 0.05 * -pull[1, 0]
+    nothing = jax.grad(lambda x: losses._uncovered(model, x, frames, frames))(keypoints)
+    assert jnp.abs(nothing).max() == 0

@@ -158,7 +158,6 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         steps=first.steps,
         sampler=RandomFrames(first.batch),
         loss=images,
-        retry=dataclasses.replace(images, coverage=first.coverage),
         groups=(
             Group("estimator", lambda m: m.estimator, first.rate),
             Group("renderer", lambda m: m.renderer, first.rate),
@@ -168,6 +167,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         clip=1e3,
         prepare=measure_statistics,
         candidates=first.candidates,
+        alternative=dataclasses.replace(images, coverage=first.coverage),
         trial=first.trial,
         judge=functools.partial(judge_vision, worst=first.worst),
     )

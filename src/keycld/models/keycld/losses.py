@@ -37,11 +37,13 @@ class VisionLoss(AbstractLoss):
         joints: while t is less, constraints on several keypoints move only joints, not ends (`_ends`). A joint has one
             correct position. Before it is found, the end could make the distance constant as well, by errors of up to
             a pixel to either side of its part, and no dynamics moves like that.
-        coverage: w_c at t = 0, falling to 0 at t = 0.3, of the cross-entropy
+        coverage: w_c at t = 0, falling to 0 at t = 1/4, of the gradient of
             C = −mean over frames of Σ_p e_p log Σ_k exp(−|x_p − x_k|²/2s²), s = 0.1,
-            with e the squared deviation from the mean frame, normalised. It spreads the keypoints over all that moves,
-            as a mixture of Gaussians would; reconstruction alone never moves a keypoint to a part that it is not near.
-            Two parts less than 2s apart would share a keypoint, so it is for data on which 0, the default, has failed.
+            with e the squared error of the rendered pixels as a share of the mean squared error of the mean frame. It
+            pulls the nearest keypoint to what is missing in the rendered frames, as reconstruction alone does not: that
+            never moves a keypoint to a part that it is not near. The less is missing, the weaker it is. Where it
+            is not needed it delays keypoints, so it is for some of the candidates of the stage. The value of L does not
+            contain it, so that candidates with and without can be compared.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
@@ -72,17 +74,18 @@ class VisionLoss(AbstractLoss):
         done = jnp.minimum(step / self.steps, 1.0)
         fixed = _ends(model, x) & (done < self.joints)
         uneven, couples = _unevenness(model, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
+        rendered = jax.vmap(model.renderer)(observed.keypoints)
         terms = {
-            "reconstruction": squared_error(jax.vmap(model.renderer)(observed.keypoints), frames),
+            "reconstruction": squared_error(rendered, frames),
             "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": jnp.sum(uneven),
         }
-        coverage = self.coverage * jnp.maximum(0.0, 1 - done / 0.3) * _uncovered(model, observed.keypoints, frames)
+        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * _uncovered(model, observed.keypoints, rendered, frames)
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
         total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + jnp.sum(weights * uneven)
-        return total + coverage, terms
+        return total + pull - jax.lax.stop_gradient(pull), terms
 
 
 class TrackLoss(AbstractLoss):
@@ -265,13 +268,14 @@ def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
     return jnp.mean(spread / (jnp.sum(slopes, axis=-1) + 1e-6), axis=0), couples
 
 
-def _uncovered(model: AbstractKeypointModel, keypoints: Array, frames: Array, scale: float = 0.1) -> Array:
-    """Return the coverage C of `VisionLoss` for keypoints `[batch, K, 2]` and their frames."""
-    _, height, width, _ = frames.shape
+def _uncovered(
+    model: AbstractKeypointModel, keypoints: Array, rendered: Array, frames: Array, scale: float = 0.1
+) -> Array:
+    """Return C of `VisionLoss` for keypoints `[batch, K, 2]` and the frames that were rendered from them."""
     assert isinstance(model.estimator, (KeypointEstimator, DenseEstimator)) and model.estimator.standardise is not None
-    moving = jnp.sum((frames - model.estimator.standardise.mean[None]) ** 2, axis=3)
-    share = moving / (jnp.sum(moving, axis=(1, 2), keepdims=True) + 1e-12)
-    grid = image_grid(height, width, 1)
+    whole = model.estimator.standardise.deviation**2 * frames[0].size
+    share = jax.lax.stop_gradient(jnp.sum((frames - rendered) ** 2, axis=3) / (whole + 1e-12))
+    grid = image_grid(frames.shape[1], frames.shape[2], 1)
     apart = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
     near = jax.nn.logsumexp(-apart / (2 * scale**2), axis=-1)
     return -jnp.mean(jnp.sum(share * near, axis=(1, 2)))

@@ -29,7 +29,7 @@ class VisionStage:
     """Peak learning rate of estimator and renderer."""
     candidates: int = 4
     """Random initialisations to try; the best one continues."""
-    trial: int = 200
+    trial: int = 250
     """Steps of each trial."""
     heat_map: float = 1.0
     """Weight of the cross-entropy between a heat map and a Gaussian at its own keypoint."""
@@ -42,8 +42,8 @@ class VisionStage:
     joints: float = 0.85
     """Share of the steps in which constraints on several keypoints move only the joints."""
     coverage: float = 10.0
-    """After a failure: initial weight of the cross-entropy between all that moves and the keypoints; it falls to zero
-    at 0.3 of the steps."""
+    """Initial weight, in every second trial, of the term that pulls keypoints to what the rendered frames lack; zero
+    from a quarter of the steps on."""
     worst: float = 0.2
     """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
