@@ -38,12 +38,14 @@ class VisionLoss(AbstractLoss):
             correct position. Before it is found, the end could make the distance constant as well, by errors of up to
             a pixel to either side of its part, and no dynamics moves like that.
         coverage: w_c at t = 0, falling to 0 at t = 1/4, of the gradient of
-            C = −mean over frames of Σ_p e_p log Σ_k exp(−|x_p − x_k|²/2s²), s = 0.1,
-            with e the squared error of the rendered pixels as a share of the mean squared error of the mean frame. It
-            pulls the nearest keypoint to what is missing in the rendered frames, as reconstruction alone does not: that
-            never moves a keypoint to a part that it is not near. The less is missing, the weaker it is. Where it
-            is not needed it delays keypoints, so it is for some of the candidates of the stage. The value of L does not
-            contain it, so that candidates with and without can be compared.
+            C = mean over frames of −Σ_p e_p log Σ_k b_k(p) − 1/K Σ_k log Σ_p m_p b_k(p),
+            b_k(p) = exp(−|x_p − x_k|²/2s²), s = 0.1, with e the squared error of the rendered pixels and m the squared
+            difference of the frame from the mean frame, both as shares of the mean of Σ m. The first part pulls the
+            nearest keypoint to what the rendered frames lack, as reconstruction alone does not: that never moves a
+            keypoint to a part that it is not near. The second part holds keypoints on what moves: otherwise they may
+            encode the parts from any place. C helps where parts are small and near each other, and harms elsewhere,
+            so it is for some of the candidates.
+            The value of L does not contain it, so that candidates with and without can be compared.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
@@ -273,12 +275,14 @@ def _uncovered(
 ) -> Array:
     """Return C of `VisionLoss` for keypoints `[batch, K, 2]` and the frames that were rendered from them."""
     assert isinstance(model.estimator, (KeypointEstimator, DenseEstimator)) and model.estimator.standardise is not None
-    whole = model.estimator.standardise.deviation**2 * frames[0].size
-    share = jax.lax.stop_gradient(jnp.sum((frames - rendered) ** 2, axis=3) / (whole + 1e-12))
+    mean, deviation = model.estimator.standardise.mean, model.estimator.standardise.deviation
+    pixels = jnp.stack([frames - rendered, frames - mean[None]]) / (deviation * jnp.sqrt(frames[0].size) + 1e-6)
+    missing, moving = jax.lax.stop_gradient(jnp.sum(pixels**2, axis=-1))
     grid = image_grid(frames.shape[1], frames.shape[2], 1)
-    apart = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
-    near = jax.nn.logsumexp(-apart / (2 * scale**2), axis=-1)
-    return -jnp.mean(jnp.sum(share * near, axis=(1, 2)))
+    near = -jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1) / (2 * scale**2)
+    found = jnp.log(jnp.sum(moving[..., None] * jnp.exp(near), axis=(1, 2)) + 1e-4)
+    covered = jnp.sum(missing * jax.nn.logsumexp(near, axis=-1), axis=(1, 2))
+    return -jnp.mean(covered + jnp.mean(found, axis=1))
 
 
 def _ends(model: AbstractKeypointModel, x: Array) -> Array:
