@@ -65,7 +65,7 @@ def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
     """
     shutil.copytree(place / "whole", place / "cut")
     latest = place / "cut" / "checkpoints" / "latest"
-    latest.write_text("01-dynamics-000006")
+    latest.write_text("01-dynamics-000000")
     for later in latest.parent.glob("02-joint-*"):
         shutil.rmtree(later)
     arguments = ["train", "--config", "whole/config.json", "--out", "cut", "--log-every", "2"]

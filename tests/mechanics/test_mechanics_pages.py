@@ -3,11 +3,13 @@
 import re
 from pathlib import Path
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld.mechanics import parse_constraints
+from keycld.mechanics import Constraints, force, parse_constraints, term_kinds
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -20,8 +22,16 @@ def run(page):
     return names
 
 
-def test_mechanics():
+def test_mechanics(monkeypatch):
+    # The page's own kind of force is for this test alone.
+    term_kinds()
+    monkeypatch.setattr(force, "_KINDS", dict(force._KINDS))
     page = run("mechanics.md")
+    assert page["Wind"].kind in term_kinds()
+    push = eqx.tree_at(
+        lambda wind: wind.push, page["Wind"].zero(Constraints(("a", "b"), ()), key=None), jnp.array([1.0, 2.0])
+    )
+    np.testing.assert_allclose(-jax.grad(push, argnums=1)(jnp.ones(4), jnp.ones(4)), [1, 2, 1, 2])
     energy = np.asarray(page["energy"])
     # The torque u = 0.5 does the work u θ on the bob.
     x = np.asarray(page["motion"].x)
