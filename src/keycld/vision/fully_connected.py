@@ -2,7 +2,8 @@
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float, PRNGKeyArray
+import jax.numpy as jnp
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld._errors import KeycldError
 from keycld.vision.keypoint_estimator import AbstractEstimator, Observation, Standardise
@@ -60,6 +61,11 @@ class DenseEstimator(AbstractEstimator):
             x = max_pool(block(x))
         x = self.out(jax.nn.relu(self.hidden(x.reshape(-1))))
         return Observation(x.reshape(-1, 2), None)
+
+    def reordered(self, order: Int[Array, " K"]) -> AbstractEstimator:
+        """Return the estimator whose keypoint k is what keypoint `order[k]` was."""
+        rows = _components(order)
+        return eqx.tree_at(lambda e: (e.out.weight, e.out.bias), self, (self.out.weight[rows], self.out.bias[rows]))
 
 
 class DenseRenderer(AbstractRenderer):
@@ -119,6 +125,14 @@ class DenseRenderer(AbstractRenderer):
         for block in self.blocks:
             x = upsample(block(x))
         return on_background(depth_to_space(self.out(x), self.stride), self.background)
+
+    def reordered(self, order: Int[Array, " K"]) -> AbstractRenderer:
+        """Return the renderer that treats keypoint k as keypoint `order[k]` was."""
+        return eqx.tree_at(lambda r: r.hidden.weight, self, self.hidden.weight[:, _components(order)])
+
+
+def _components(order: Int[Array, " K"]) -> Int[Array, "2*K"]:
+    return (2 * order[:, None] + jnp.arange(2)[None, :]).reshape(-1)
 
 
 def halvings_to_four(size: tuple[int, int], stride: int) -> tuple[int, tuple[int, int]]:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from keycld.vision.coordinates import image_grid, spatial_softmax
 from keycld.vision.layers import space_to_depth
@@ -51,6 +51,10 @@ class AbstractEstimator(eqx.Module):
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
         """Estimate the keypoints of one frame with values in [0, 1]."""
 
+    @abstractmethod
+    def reordered(self, order: Int[Array, " K"]) -> "AbstractEstimator":
+        """Return the estimator whose keypoint k is what keypoint `order[k]` was."""
+
 
 class KeypointEstimator(AbstractEstimator):
     """The keypoint estimator of the paper (section 3, appendix A.4): one heat map for each keypoint, then eq. (8).
@@ -69,6 +73,10 @@ class KeypointEstimator(AbstractEstimator):
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
         """Estimate the keypoints of one frame with values in [0, 1]."""
         return self.locate(self.logits(frame))
+
+    def reordered(self, order: Int[Array, " K"]) -> "AbstractEstimator":
+        """Return the estimator whose keypoint k is what keypoint `order[k]` was."""
+        return eqx.tree_at(lambda e: e.network, self, self.network.with_outputs(order))
 
     def logits(self, frame: Float[Array, "H W 3"]) -> Float[Array, "rows columns K"]:
         """Return the maps before the softmax."""

@@ -5,7 +5,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from keycld.vision.coordinates import gaussian_maps, image_grid
 from keycld.vision.layers import depth_to_space
@@ -27,6 +27,10 @@ class AbstractRenderer(eqx.Module):
     @abstractmethod
     def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
         """Render one frame with values in (0, 1)."""
+
+    @abstractmethod
+    def reordered(self, order: Int[Array, " K"]) -> "AbstractRenderer":
+        """Return the renderer that treats keypoint k as keypoint `order[k]` was."""
 
 
 class Renderer(AbstractRenderer):
@@ -61,6 +65,12 @@ class Renderer(AbstractRenderer):
         blobs = gaussian_maps(keypoints, grid, self.sigma)
         x = self.network(jnp.concatenate([self.features, blobs], axis=-1))
         return on_background(depth_to_space(x, self.stride), self.background)
+
+    def reordered(self, order: Int[Array, " K"]) -> "AbstractRenderer":
+        """Return the renderer that treats keypoint k as keypoint `order[k]` was."""
+        features = self.features.shape[-1]
+        inputs = jnp.concatenate([jnp.arange(features), features + order])
+        return eqx.tree_at(lambda r: r.network, self, self.network.with_inputs(inputs))
 
 
 def on_background(logits: Float[Array, "H W 3"], background: Float[Array, "H W 3"] | None) -> Float[Array, "H W 3"]:

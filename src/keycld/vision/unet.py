@@ -5,7 +5,7 @@ from abc import abstractmethod
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, PRNGKeyArray
+from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.vision.layers import Block, Conv, max_pool, upsample
 
@@ -13,9 +13,21 @@ from keycld.vision.layers import Block, Conv, max_pool, upsample
 class AbstractUNet(eqx.Module):
     """Maps `[h, w, inputs]` to `[h, w, outputs]`; height and width must be multiples of four."""
 
+    down: eqx.AbstractVar[tuple[Block, Block, Block]]
+    out: eqx.AbstractVar[Conv]
+
     @abstractmethod
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h w outputs"]:
         """Apply the network to one example."""
+
+    def with_inputs(self, order: Int[Array, " inputs"]) -> "AbstractUNet":
+        """Return the network whose input k is treated as input `order[k]` was."""
+        return eqx.tree_at(lambda net: net.down[0].conv.kernel, self, self.down[0].conv.kernel[:, :, order])
+
+    def with_outputs(self, order: Int[Array, " outputs"]) -> "AbstractUNet":
+        """Return the network whose output k is what output `order[k]` was."""
+        kernel, bias = self.out.kernel[..., order], self.out.bias[order]
+        return eqx.tree_at(lambda net: (net.out.kernel, net.out.bias), self, (kernel, bias))
 
 
 class PaperUNet(AbstractUNet):

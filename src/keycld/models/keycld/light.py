@@ -36,6 +36,7 @@ from keycld.models.keycld.prepare import (
     judge_vision,
     measure_statistics,
     measure_velocity_prior,
+    name_keypoints,
     sequence,
     share_constants,
 )
@@ -166,6 +167,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         schedule=warmup_cosine,
         clip=1e3,
         prepare=measure_statistics,
+        every=first.trial,
+        refresh=name_keypoints,
         candidates=first.candidates,
         alternative=dataclasses.replace(images, coverage=first.coverage),
         trial=first.trial,

@@ -75,7 +75,7 @@ class VisionLoss(AbstractLoss):
         x = observed.keypoints.reshape(frames.shape[0], -1)
         done = jnp.minimum(step / self.steps, 1.0)
         fixed = _ends(model, x) & (done < self.joints)
-        uneven, couples = _unevenness(model, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
+        uneven, couples = unevenness(model, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
         rendered = jax.vmap(model.renderer)(observed.keypoints)
         terms = {
             "reconstruction": squared_error(rendered, frames),
@@ -167,7 +167,7 @@ class PredictionLoss(AbstractLoss):
         terms = {
             "reconstruction": squared_error(jax.vmap(model.renderer)(chosen), target),
             "track": _distance(rolled, x, self.scale),
-            "constraint": jnp.sum(_unevenness(model, x.reshape(batch * count, -1))[0]),
+            "constraint": jnp.sum(unevenness(model, x.reshape(batch * count, -1))[0]),
             "heat_map": _divergence(observed, (height, width), self.sigma),
         }
         total = (
@@ -258,8 +258,8 @@ def _rolled_out(model: AbstractKeypointModel, observed: Array, clips: Clip) -> A
     return jax.vmap(one)(observed, clips.index, clips.u, clips.dt)
 
 
-def _unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
-    """Return the unevenness U_i of each constraint over a batch, and whether it is on several keypoints.
+def unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
+    """Return the unevenness U_i of each constraint over a batch `[B, 2K]`, and whether it is on several keypoints.
 
     The division by |DΦ_i|² makes U_i independent of the scale of Φ_i. Without it keypoints would move together: the
     variance of a squared distance d² is 4d² times that of d.

@@ -3,6 +3,7 @@
 A preparation is a function (model, resident data) → (model, resident data).
 """
 
+import itertools
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -15,6 +16,7 @@ from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
 from keycld.models.keycld.identify import explain, identify, refit
+from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -22,8 +24,10 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 _MEASURED = 200
 # Pixels of error that need no explanation.
 _CLOSE = 0.5
-# About how many recordings a fit observes.
-_FITTED = 150
+# About how many recordings a fit observes, and a comparison of names.
+_FITTED, _COMPARED = 150, 8
+# All orders of so many keypoints are compared: 720.
+_MOST_ORDERED = 6
 
 
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -41,6 +45,30 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
         (mean, deviation, mean),
     )
     return model, data
+
+
+def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Exchange the names of keypoints where the constraints then hold much better.
+
+    Keypoints that have found their parts under each other's names cannot change places by gradients: they would have to
+    leave their parts. The names are exchanged if this halves the unevenness of the constraints, which symmetric
+    mechanisms never reach. Models with one keypoint, or more than six, are returned unchanged.
+
+    Args:
+        model: during the vision stage.
+        data: the training data.
+    """
+    x, _ = _observed(model, data, _COMPARED)
+    count = x.shape[-1] // 2
+    if not 1 < count <= _MOST_ORDERED:
+        return model, data
+    orders = jnp.array(list(itertools.permutations(range(count))))
+    uneven = _uneven_in_orders(model, x.reshape(-1, count, 2), orders)
+    best = jnp.argmin(uneven)
+    if not uneven[best] < 0.5 * uneven[0]:
+        return model, data
+    parts = model.estimator.reordered(orders[best]), model.renderer.reordered(orders[best])
+    return eqx.tree_at(lambda m: (m.estimator, m.renderer), model, parts), data
 
 
 def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
@@ -216,6 +244,12 @@ def _sharing(model: Any, x: jax.Array) -> Any:
         return model
     values = jax.vmap(model.constraint)(x.reshape(-1, x.shape[-1]))
     return eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.mean(values, axis=0))
+
+
+@eqx.filter_jit
+def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
+    """Return the sum of U_i for keypoints `[B, K, 2]` in each order `[P, K]`."""
+    return jax.lax.map(lambda order: jnp.sum(unevenness(model, x[:, order].reshape(len(x), -1))[0]), orders)
 
 
 # Compiled once for all stages.
