@@ -65,6 +65,7 @@ class DenseEstimator(AbstractEstimator):
     def reordered(self, order: Int[Array, " K"]) -> AbstractEstimator:
         """Return the estimator whose keypoint k is what keypoint `order[k]` was."""
         rows = _components(order)
+        assert self.out.bias is not None
         return eqx.tree_at(lambda e: (e.out.weight, e.out.bias), self, (self.out.weight[rows], self.out.bias[rows]))
 
 
