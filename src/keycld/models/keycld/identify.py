@@ -26,6 +26,8 @@ from keycld.mechanics import (
 
 # A term stays if without it the cost of the fit would rise by this share.
 _WORTH = 0.2
+# Share by which masses may follow when a term is dropped, for that same cost.
+_FOLLOW = 0.2
 _LAST_RESORT = "perceptron"
 # About how many recordings all terms together are fitted to.
 _FEW = 50
@@ -247,9 +249,11 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[set[str], dict[str, float]
         counts += [kind is None or name.rsplit(".", 1)[-1] not in kinds[kind].nonlinear] * leaf.size
     flat, owners, linear = np.concatenate(theta), np.array(owner, object), np.array(counts)
     curvature = np.asarray(fitted.curvature, float)
-    # The common factor of M, V, g and R stays: otherwise heavier masses could take over from any force.
-    factor = np.where(np.array(masses), flat, 0.0)
-    curvature = curvature + np.trace(curvature) / (factor @ factor) ** 2 * np.outer(factor, factor)
+    # Masses follow by about a fifth only: with no mass at all any force could be missing, and where forces act between
+    # keypoints alone, such as attraction, this is true of their relative motion for each total mass.
+    heavy = np.array(masses)
+    step = _FOLLOW * np.sqrt(np.mean(flat[heavy] ** 2))
+    curvature = curvature + np.diag(np.where(heavy, 2 * _WORTH * float(fitted.cost) / step**2, 0.0))
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
     curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
     kept, worth = set(kinds), {}
