@@ -63,6 +63,7 @@ def write_data(folder: Path, *, count: int = 6, frames: int = 12) -> Path:
 
 TINY = {
     "width": 8,
+    "terms": ["viscous"],
     "groups": 2,
     "vision": {"steps": 6, "candidates": 2, "trial": 2, "batch": 4, "worst": 1e9},
     "dynamics": {"steps": 6, "batch": 4, "horizons": [5, 6], "worst": 1e9},

@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
 from keycld.mechanics import (
     AbstractDissipationTerm,
@@ -68,8 +69,9 @@ def identify(
     through the dynamics to a quarter, half and the whole of the recordings (`fit_motions`). A term is dropped if the
     cost would hardly rise without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term,
     all others eliminated. Those of the highest rank are judged first, and the others take over what they can. What is
-    left is fitted again from nothing, and stays if it is worth more than gravity alone. If the result explains the
-    recordings badly, a potential energy of free form is added.
+    left is fitted again, from there and, if this explains the recordings less well than all terms did, from nothing. It
+    stays if it is worth more than gravity alone. If the result explains the recordings badly, a potential energy of
+    free form is added.
 
     Args:
         dynamics: V affine; its parameters do not matter.
@@ -84,9 +86,16 @@ def identify(
         fitted = _identified(dynamics, terms, x, u, dt, constants)
         return Identified(fitted.dynamics, float(fitted.rms), {})
     best = _identified(dynamics, (), x, u, dt, constants)
-    kept, worth = _selected(_with_everything(best, x, u, dt, constants, good=_GOOD * pixel), dt)
+    some = slice(None, None, max(1, len(x) // _FEW))
+    everything = _with_everything(best, x[some], u[some], dt, constants, some, good=_GOOD * pixel)
+    left, worth = _selected(everything, dt)
+    kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
-        selected = _identified(dynamics, tuple(sorted(kept)), x, u, dt, constants)
+        near = _fitted(left, x[some], u[some], dt, constants, everything.initial)
+        selected = _climb(near.dynamics, x, u, dt, constants)
+        if selected.rms > (1 + _WORTH) * everything.rms:
+            again = _identified(dynamics, kept, x, u, dt, constants)
+            selected = min(selected, again, key=lambda fitted: float(fitted.cost))
         if selected.cost < best.cost / (1 + _WORTH):
             best = selected
     if best.rms > _GOOD * pixel:
@@ -112,15 +121,15 @@ def _identified(
 
 
 def _with_everything(
-    affine: Fitted, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None, *, good: float
+    affine: Fitted, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None, some: slice, *, good: float
 ) -> Fitted:
-    """Fit all terms that are tried to some of the recordings: from the affine fit if its error is small."""
-    some, kinds = slice(None, None, max(1, len(x) // _FEW)), [k for k, term in term_kinds().items() if term.tried]
+    """Fit all terms that are tried to some of the recordings: from the affine fit of all if its error is small."""
+    kinds = [kind for kind, term in term_kinds().items() if term.tried]
     if affine.rms > good:
-        return _identified(affine.dynamics, tuple(kinds), x[some], u[some], dt, constants)
+        return _identified(affine.dynamics, tuple(kinds), x, u, dt, constants)
     law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
     initial = Motion(*(part[some] for part in affine.initial))
-    return _fitted(_with_law(affine.dynamics, law), x[some], u[some], dt, constants, initial)
+    return _fitted(_with_law(affine.dynamics, law), x, u, dt, constants, initial)
 
 
 def _climb(
@@ -159,12 +168,10 @@ def refit(
         prune: drop the terms of V and R without which the cost would hardly rise, as in `identify`.
     """
     fitted = _fitted(dynamics, x, u, dt, constants)
-    law = _lagrangian(fitted.dynamics)
-    kept = _selected(fitted, dt)[0] if prune else set(terms_of(law))
-    if kept == set(terms_of(law)):
+    left = _selected(fitted, dt)[0] if prune else fitted.dynamics
+    if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
-    fewer = with_terms(law, {kind: term for kind, term in terms_of(law).items() if kind in kept})
-    return _fitted(_with_law(fitted.dynamics, fewer), x, u, dt, constants, fitted.initial)
+    return _fitted(left, x, u, dt, constants, fitted.initial)
 
 
 def explain(
@@ -232,12 +239,12 @@ def _free(dynamics: Any) -> Any:
     return jax.tree_util.tree_map_with_path(free, dynamics)
 
 
-def _selected(fitted: Fitted, dt: jax.Array) -> tuple[set[str], dict[str, float]]:
-    """Return the kinds of the terms that are worth their parameters, and the worth of each.
+def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[str, float]]:
+    """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
 
-    A dissipation that gives energy on average is worth nothing.
+    Its parameters have taken over what they can. A dissipation that gives energy on average is worth nothing.
     """
-    parameters = eqx.filter(fitted.dynamics, _free(fitted.dynamics))
+    parameters, rest = eqx.partition(fitted.dynamics, _free(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(_lagrangian(fitted.dynamics))
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
@@ -267,7 +274,10 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[set[str], dict[str, float]
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)
-    return kept, worth
+    _, unravel = ravel_pytree(parameters)
+    left = eqx.combine(unravel(jnp.asarray(flat / scale, jnp.float32)), rest)
+    terms = {kind: term for kind, term in terms_of(_lagrangian(left)).items() if kind in kept}
+    return _with_law(left, with_terms(_lagrangian(left), terms)), worth
 
 
 @eqx.filter_jit
