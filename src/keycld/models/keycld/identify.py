@@ -242,7 +242,8 @@ def _free(dynamics: Any) -> Any:
 def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[str, float]]:
     """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
 
-    Its parameters have taken over what they can. A dissipation that gives energy on average is worth nothing.
+    Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
+    worth nothing: next to each other, two of them may have opposite signs.
     """
     parameters, rest = eqx.partition(fitted.dynamics, _free(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
@@ -263,33 +264,42 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
     curvature = curvature + np.diag(np.where(heavy, 2 * _WORTH * float(fitted.cost) / step**2, 0.0))
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
     curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
+    _, unravel = ravel_pytree(parameters)
+
+    def dynamics(flat: np.ndarray) -> MechanicalDynamics:
+        return eqx.combine(unravel(jnp.asarray(flat / scale, jnp.float32)), rest)
+
     kept, worth = set(kinds), {}
+    dissipations = {kind for kind, term in kinds.items() if isinstance(term, AbstractDissipationTerm)}
     for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
-        group, others = linear & (owners == kind), _others(owners, kept, kind)
-        term, gives = kinds[kind], False
-        if isinstance(term, AbstractDissipationTerm):
-            gives = float(_power(term, fitted.paths, dt)) <= 0
+        group, others = linear & (owners == kind), _others(owners, kept - {kind})
+        gives = False
+        if kind in dissipations:
+            rivals = linear & np.array([owner in (kept & dissipations) - {kind} for owner in owners])
+            alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
+            gives = float(_power(_lagrangian(dynamics(alone)), kind, fitted.paths, dt)) <= 0
         worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
         if worth[kind] < _WORTH:
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)
-    _, unravel = ravel_pytree(parameters)
-    left = eqx.combine(unravel(jnp.asarray(flat / scale, jnp.float32)), rest)
+    left = dynamics(flat)
     terms = {kind: term for kind, term in terms_of(_lagrangian(left)).items() if kind in kept}
     return _with_law(left, with_terms(_lagrangian(left), terms)), worth
 
 
 @eqx.filter_jit
-def _power(term: AbstractDissipationTerm, paths: jax.Array, dt: jax.Array) -> jax.Array:
-    """Return the mean power v·∂R/∂v that a term takes from motions `[N, T, 2K]`."""
+def _power(law: ConstrainedLagrangian, kind: str, paths: jax.Array, dt: jax.Array) -> jax.Array:
+    """Return the mean power v·∂R/∂v that a dissipation of this kind takes from motions `[N, T, 2K]`."""
+    term = terms_of(law)[kind]
+    assert isinstance(term, AbstractDissipationTerm)
     x = paths[:, 1:-1].reshape(-1, paths.shape[-1])
     v = ((paths[:, 2:] - paths[:, :-2]) / (2 * dt)).reshape(-1, paths.shape[-1])
     return jnp.mean(jnp.sum(v * jax.vmap(jax.grad(term, argnums=1))(x, v), axis=1))
 
 
-def _others(owners: np.ndarray, kept: set[str], kind: str) -> np.ndarray:
-    return np.array([owner is None or (owner in kept and owner != kind) for owner in owners])
+def _others(owners: np.ndarray, kinds: set[str]) -> np.ndarray:
+    return np.array([owner is None or owner in kinds for owner in owners])
 
 
 def _rise(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> float:
