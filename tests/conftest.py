@@ -20,7 +20,9 @@ os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 # Most of a test's time is compilation, of programs that run once: half of it with fewer passes of LLVM and without
 # MLIR's fusions, a seventh less in one piece, because all cores are busy. (At level 0 gradients of the networks are
 # NaN.) jaxlib 0.10 to 0.12 know these flags; one that does not dies.
-QUICK = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+QUICK = (
+    "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+)
 os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}"
 
 # Tracing makes so many small objects that looking for garbage after every 700 of them costs a twentieth of the time.
