@@ -17,7 +17,7 @@ setup: .venv/ready
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-# Data, training, evaluation, control and report for the pendulum; about six minutes on two cores.
+# Data, training, evaluation, control and report for the pendulum; about five minutes on two cores.
 demo: setup
 	$(BIN)/keycld demo
 
