@@ -9,11 +9,18 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
-from keycld._files import make_folder, writing_error
+from keycld._files import alive, make_folder, writing_error
+from keycld._records import checked
 
 _BEAT_SECONDS = 10.0
+
+
+class _Note(TypedDict):
+    pid: int
+    host: str
+    since: float
 
 
 class Holder(NamedTuple):
@@ -75,9 +82,11 @@ def holder(path: Path) -> Holder | None:
     """Return the holder of the lock in the file `path`, or None."""
     try:
         with path.open() as file:
-            text = file.read()
-            found = json.loads(text) if text else None
-            if found is None or (found["host"] == socket.gethostname() and not _alive(found["pid"])):
+            text = file.read(1000)
+            if not text:
+                return None
+            found = checked(json.loads(text), _Note)
+            if found["host"] == socket.gethostname() and not alive(found["pid"]):
                 return None
             try:  # by now another process may have this number
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -88,16 +97,6 @@ def holder(path: Path) -> Holder | None:
                 return Holder(found["pid"], found["host"], now - found["since"], silent)
     except (FileNotFoundError, ValueError):  # ValueError: the file is being written
         return None
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 def _beat(path: Path, done: threading.Event) -> None:
