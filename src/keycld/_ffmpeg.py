@@ -8,8 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
-from keycld._errors import KeycldError
-
 # Seconds without a byte, after which ffmpeg is ended.
 _SILENT = 60.0
 # A picture of 8K: ffmpeg needs memory for a dozen of them.

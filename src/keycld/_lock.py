@@ -5,6 +5,7 @@ import fcntl
 import json
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -76,6 +77,25 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
             done.set()
             beat.join()
             file.truncate(0)
+
+
+@contextlib.contextmanager
+def alone(folder: Path, doing: str = "makes data", lock: str = ".lock") -> Iterator[None]:
+    """Wait until no other process does the same in a folder, and keep others waiting.
+
+    Args:
+        folder: the folder.
+        doing: what, for the line that says so.
+        lock: name of the lock's file.
+
+    Raises:
+        KeycldError: as `locked`.
+    """
+    with contextlib.ExitStack() as held:
+        if not held.enter_context(locked(folder / lock)):
+            print(f"waiting for another process that {doing} in {folder}", file=sys.stderr, flush=True)
+            held.enter_context(locked(folder / lock, wait=True))
+        yield
 
 
 def holder(path: Path) -> Holder | None:

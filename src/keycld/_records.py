@@ -90,7 +90,9 @@ def _list(value: Any, origin: Any, kinds: tuple[Any, ...], where: str) -> Any:
         _require(len(value) == len(kinds), value, f"a list of {len(kinds)}", where)
     else:
         kinds = kinds[:1] * len(value)
-    return origin(checked(each, kind, _dotted(where, k)) for k, (each, kind) in enumerate(zip(value, kinds, strict=True)))
+    return origin(
+        checked(each, kind, _dotted(where, k)) for k, (each, kind) in enumerate(zip(value, kinds, strict=True))
+    )
 
 
 def _table(value: Any, kind: Any, where: str) -> Any:
@@ -190,7 +192,9 @@ def read_arrays(path: Path, layout: Mapping[str, tuple[str, str]], fix: str) -> 
         kinds, dimensions = layout[name][0], layout[name][1].split()
         shape = found[name].shape
         # An array of three dots stands for any number of dimensions.
-        words = dimensions[:-1] + ["_"] * (len(shape) - len(dimensions) + 1) if dimensions[-1:] == ["..."] else dimensions
+        words = (
+            dimensions[:-1] + ["_"] * (len(shape) - len(dimensions) + 1) if dimensions[-1:] == ["..."] else dimensions
+        )
         fits = len(shape) == len(words) and found[name].dtype.kind in kinds
         if not fits or any(n != _size(word, n, sizes) for word, n in zip(words, shape, strict=True)):
             where = f"its array '{name}' is {found[name].dtype}{list(shape)}, not as the others and the scores say"

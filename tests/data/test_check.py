@@ -200,10 +200,18 @@ def test_a_folder(tmp_path):
     (differs,) = check(tmp_path)
     assert "validation.h5 differs from train.h5 in 'dt'" in differs
     (tmp_path / "validation.h5").unlink()
+    figures = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
     (tmp_path / "statistics.json").write_text(
-        json.dumps({"splits": {"train": {"sha256": "0"}, "test": {"sha256": "0"}}})
+        json.dumps(
+            {
+                "splits": {
+                    name: {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"} for name in ("train", "test")
+                }
+            }
+        )
     )
     changed, lacks = check(tmp_path)
     assert "train.h5 has changed" in changed and "lacks test.h5" in lacks
+    figures = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
     (tmp_path / "statistics.json").write_text("{")
     assert "damaged" in check(tmp_path)[0]

@@ -11,9 +11,11 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypedDict
 
-from keycld._files import aside_of
+from keycld._files import aside_of, discard_partial
 from keycld._lock import locked
+from keycld._records import Name
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import condense, read_json, record_failure, write_json
 from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
@@ -55,13 +57,16 @@ def _attempt(experiment: Experiment, place: Place) -> int:
         write_json(place.result(experiment), condense(experiment, place, notes.seconds))
         place.failure(experiment).unlink(missing_ok=True)
         return DONE
-    except KeyboardInterrupt:
-        return INTERRUPTED
     except Exception as error:
         traceback.print_exc()
         sentence = (str(error).strip().splitlines() or ["no message"])[0]
         record_failure(experiment, place, stage, type(error).__name__, sentence)
         return FAILED
+
+
+class _Note(TypedDict):
+    config_hash: Name
+    seconds: dict[str, float]
 
 
 class _Notes:
@@ -71,7 +76,7 @@ class _Notes:
         """Read the notes; a run folder of another configuration is moved aside, so that nothing is deleted."""
         self._path = place.run(experiment) / _NOTES
         self._hash = experiment.hash()
-        found = read_json(self._path)
+        found = read_json(self._path, _Note)
         if found is None or found["config_hash"] != self._hash:
             _set_aside(place.run(experiment), "" if found is None else found["config_hash"])
             found = {"config_hash": self._hash, "seconds": {}}
@@ -143,6 +148,7 @@ def _exit_with(parent: int) -> None:
     """Exit when `bench run` has been killed, so that the next one finds no process of the old one."""
     while os.getppid() == parent:
         time.sleep(0.2)
+    discard_partial()
     os._exit(INTERRUPTED)
 
 

@@ -1,15 +1,11 @@
 """The folder of a data set: names in it, whether it is finished, its statistics and check-sums."""
 
-import contextlib
 import hashlib
 import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
 from keycld._files import write_text
-from keycld._lock import locked
 from keycld._records import Name, read_json
 
 PARTIAL = ".partial"
@@ -53,17 +49,6 @@ class _Statistics(TypedDict):
     parameters: NotRequired[dict[str, dict[str, float]]]
     conserved: NotRequired[dict[str, float]]
     baselines: NotRequired[dict[str, dict[str, float]]]
-
-
-@contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Wait until no other process makes data in the folder, and keep others waiting."""
-    lock = folder / ".lock"
-    with contextlib.ExitStack() as held:
-        if not held.enter_context(locked(lock)):
-            print(f"waiting for another process that makes data in {folder}", file=sys.stderr, flush=True)
-            held.enter_context(locked(lock, wait=True))
-        yield
 
 
 def unfinished(folder: Path) -> bool:

@@ -31,16 +31,22 @@ def open_file(path: str | Path) -> Iterator[Any]:
     if not path.is_file():
         raise KeycldError(f"{path} is no regular file: name an .h5 file.")
     try:
-        with h5py.File(path, "r") as file:
-            _refuse_outside(file, path)
-            yield file
+        file = h5py.File(path, "r")
     except PermissionError:
         raise KeycldError(f"{path} may not be read: change its permissions.") from None
-    except KeycldError:
-        raise
     except Exception as error:  # on damaged bytes h5py may raise anything, or hand out None
         raise KeycldError(
-            f"{path} is not a whole HDF5 file of this format, or it is damaged: copy or make it again ({error})."
+            f"{path} is not a whole HDF5 file, it is truncated or damaged: copy or make it again ({error})."
+        ) from error
+    try:
+        with file:
+            _refuse_outside(file, path)
+            yield file
+    except KeycldError:
+        raise
+    except Exception as error:
+        raise KeycldError(
+            f"{path} is damaged, or holds something else than data of this format: copy or make it again ({error})."
         ) from error
 
 

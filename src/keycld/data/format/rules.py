@@ -101,8 +101,8 @@ def _shape_problems(file: File) -> Iterator[str]:
         largest = np.prod(shape[1:], dtype=float) * (file[name].dtype.itemsize if name in file else 0)
         if largest > LARGEST_RECORDING or (name == "image" and max(shape[2:4], default=0) > _LONGEST_SIDE):
             yield (
-                f"'/{name}' has the shape {shape}, more than {LARGEST_RECORDING // 10**6} MB a recording or pictures of "
-                f"more than {_LONGEST_SIDE} pixels on a side: store shorter recordings of smaller pictures."
+                f"'/{name}' has the shape {shape}, more than {LARGEST_RECORDING // 10**6} MB a recording or pictures "
+                f"of more than {_LONGEST_SIDE} pixels on a side: store shorter recordings of smaller pictures."
             )
             return
     time = file["time"].shape

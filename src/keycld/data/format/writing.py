@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 
 from keycld.data.format.hdf5 import create_file, open_file
-from keycld.data.format.reading import read, recordings, refuse
+from keycld.data.format.reading import recordings, refuse
 from keycld.data.format.rules import SCHEMA_VERSION, check_structure
 from keycld.data.format.trajectories import Trajectories
 

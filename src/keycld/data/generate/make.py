@@ -7,8 +7,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from keycld._errors import KeycldError
+from keycld._lock import alone
 from keycld._progress import Bar
-from keycld.data.format.folder import PARTIAL, alone
+from keycld.data.format.folder import PARTIAL
 from keycld.data.generate.job import Job, Made, Progress
 from keycld.data.generate.recipes import ON_DEMAND, deferred, recipe_for, stored_recipe
 from keycld.data.generate.sampled import Store

@@ -15,10 +15,11 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, described, ffmpeg, input_options
 from keycld._files import copy_file, make_folder, writing_error
+from keycld._lock import alone
 from keycld._progress import Counted
 from keycld._version import __version__
 from keycld.data.describe.finish import finish
-from keycld.data.format.folder import CONSTRAINTS, alone
+from keycld.data.format.folder import CONSTRAINTS
 from keycld.data.format.rules import LARGEST_RECORDING
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
