@@ -37,7 +37,7 @@ def checked(value: Any, kind: Any, where: str = "") -> Any:
     Args:
         value: numbers, texts, lists, tables and None.
         kind: the type: bool, int, float (also a whole number), str, None, Any, `Name`, a `Literal`, a union, list[…],
-            tuple[…], dict[str, …], a `TypedDict` or a dataclass. Tables may have more entries than a `TypedDict` names.
+            tuple[…] (also a list), dict[str, …], a `TypedDict` or a dataclass. Tables may have more entries than a `TypedDict` names.
         where: the dotted name of the value.
 
     Raises:
@@ -90,7 +90,7 @@ def _list(value: Any, origin: Any, kinds: tuple[Any, ...], where: str) -> Any:
         _require(len(value) == len(kinds), value, f"a list of {len(kinds)}", where)
     else:
         kinds = kinds[:1] * len(value)
-    return origin(
+    return type(value)(
         checked(each, kind, _dotted(where, k)) for k, (each, kind) in enumerate(zip(value, kinds, strict=True))
     )
 

@@ -30,12 +30,15 @@ def notes(root):
     return path.read_text().splitlines() if path.exists() else []
 
 
+TRAIN = {"trajectories": 4, "frames": 50, "bytes": 1, "sha256": "abc"}
+
+
 def make_data(experiment, place):
     folder = place.data(experiment)
     if not (folder / "statistics.json").exists():
         note(place, f"data {folder.name}")
         folder.mkdir(parents=True)
-        write(folder / "statistics.json", {"splits": {"train": {"sha256": "abc"}}, "recipe": {"system": folder.name}})
+        write(folder / "statistics.json", {"splits": {"train": TRAIN}, "recipe": {"system": folder.name, "splits": []}})
 
 
 def train_model(experiment, place):
@@ -86,7 +89,13 @@ def fake_evaluation(protocol, vpt, trajectories=4):
     summary = statistics(np.full(trajectories, vpt))
     baselines = ("mean image", "frozen frame")
     scores = {
-        "protocol": {"name": protocol.name, "given": protocol.given, "horizon": protocol.horizon},
+        "protocol": {
+            "name": protocol.name,
+            "split": protocol.split,
+            "given": protocol.given,
+            "horizon": protocol.horizon,
+        },
+        "n": trajectories,
         "dt": 0.05,
         "vpt": {f"{each:g}": {**summary, "frames": passed(errors, 1e-3 * each)} for each in protocol.thresholds},
         "metric": protocol.metric,
@@ -96,11 +105,16 @@ def fake_evaluation(protocol, vpt, trajectories=4):
         "mse": 1e-3,
         "epsilon": 1e-3,
         "baselines": {
-            name: {"vpt": {f"{threshold:g}": {"mean": 0.2} for threshold in protocol.thresholds}} for name in baselines
+            name: {
+                "mse": 1e-2,
+                "vpt": {f"{threshold:g}": {**summary, "mean": 0.2} for threshold in protocol.thresholds},
+            }
+            for name in baselines
         },
         "masses": [1.0],
     }
     arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}
+    arrays |= {f"baseline_mse_{name.replace(' ', '_')}": errors for name in baselines} | {"u": np.zeros((2, 1))}
     arrays["time"] = 0.05 * np.arange(protocol.horizon)
     return Evaluation(scores, arrays)
 
@@ -116,7 +130,7 @@ def record(experiment, place, vpt, seconds=60.0):
         save_evaluation(run, protocol.name, fake_evaluation(protocol, vpt))
     make_data(experiment, place)
     write_run(experiment, run)
-    write(run / "metrics.jsonl", {"seconds": seconds, "cpu_seconds": 0.0, "frames": 1})
+    write(run / "metrics.jsonl", {"step": STEPS, "seconds": seconds, "cpu_seconds": 0.0, "frames": 1})
     result = condense(experiment, place, {"training": seconds, "evaluation": 1.0})
     write_json(place.result(experiment), result)
     return result

@@ -201,17 +201,9 @@ def test_a_folder(tmp_path):
     assert "validation.h5 differs from train.h5 in 'dt'" in differs
     (tmp_path / "validation.h5").unlink()
     figures = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
-    (tmp_path / "statistics.json").write_text(
-        json.dumps(
-            {
-                "splits": {
-                    name: {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"} for name in ("train", "test")
-                }
-            }
-        )
-    )
+    described = {"splits": dict.fromkeys(("train", "test"), figures)}
+    (tmp_path / "statistics.json").write_text(json.dumps(described))
     changed, lacks = check(tmp_path)
     assert "train.h5 has changed" in changed and "lacks test.h5" in lacks
-    figures = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
     (tmp_path / "statistics.json").write_text("{")
     assert "damaged" in check(tmp_path)[0]

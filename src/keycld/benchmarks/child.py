@@ -16,6 +16,7 @@ from typing import TypedDict
 from keycld._files import aside_of, discard_partial
 from keycld._lock import locked
 from keycld._records import Name
+from keycld._signals import end_on_signals
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import condense, read_json, record_failure, write_json
 from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
@@ -153,4 +154,6 @@ def _exit_with(parent: int) -> None:
 
 
 if __name__ == "__main__":
+    # `bench run`, which the same interrupt reaches, says so.
+    end_on_signals(quiet=True)
     sys.exit(main(sys.argv[1:]))

@@ -15,7 +15,7 @@ from keycld._records import read_lines
 from keycld.benchmarks.experiment import Experiment, Place, digest
 from keycld.data import read_statistics
 from keycld.evaluation import Evaluation, load_evaluation
-from keycld.training import environment, read_config
+from keycld.training import environment
 
 _CURVE_POINTS = 50
 
@@ -50,6 +50,10 @@ class _Cost(TypedDict):
     seconds: float
     cpu_seconds: float
     frames: int
+
+
+class _Settings(TypedDict):
+    settings: dict[str, Any]
 
 
 class _Machine(TypedDict):
@@ -91,11 +95,13 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         the error over time.
     """
     run, data = place.run(experiment), place.data(experiment)
-    config = read_config(run)
+    config = read_json(run / "config.json", _Settings)
     trained_in = read_json(run / "environment.json", _Environment)
     statistics, lines = read_statistics(data), read_lines(run / "metrics.jsonl", _Cost)
-    if trained_in is None or statistics is None or not lines:
-        raise KeycldError(f"{run} or {data} lacks environment.json, metrics.jsonl or statistics.json: train again.")
+    if config is None or trained_in is None or statistics is None or not lines:
+        raise KeycldError(
+            f"{run} or {data} lacks config.json, environment.json, metrics.jsonl or statistics.json: train again."
+        )
     last = lines[-1]
     stored = {protocol.name: load_evaluation(run, protocol.name) for protocol in experiment.protocols}
     return {
@@ -107,7 +113,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         "model": experiment.model,
         "preset": experiment.preset,
         "seed": experiment.seed,
-        "settings": config.settings,
+        "settings": config["settings"],
         # Of the first process of the training, and of the process that evaluated.
         "commit": trained_in["commit"],
         "commit_scored": environment()["commit"],

@@ -67,14 +67,7 @@ def run_experiments(
 def _do(experiment: Experiment, place: Place, child: Sequence[str]) -> int:
     arguments = [str(os.getpid()), experiment.to_json(), str(place.root), str(place.results)]
     with _output(place.run(experiment)) as out:
-        process = subprocess.Popen(
-            # An interrupt at the keyboard reaches this process alone; the other one ends with it.
-            [*child, *arguments],
-            stdin=subprocess.DEVNULL,
-            stdout=out,
-            stderr=out,
-            process_group=0,
-        )
+        process = subprocess.Popen([*child, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=out)
         try:
             code = process.wait()
         except BaseException:

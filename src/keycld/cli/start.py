@@ -1,16 +1,11 @@
 """The installed command: how it begins, and how it ends when a signal or something unforeseen stops it."""
 
-import contextlib
-import os
-import signal
 import sys
 import tempfile
 import threading
 import traceback
 
-from keycld._files import discard_partial
-
-_ENDING = threading.Event()
+from keycld._signals import ENDING, end_on_signals
 
 
 def entry() -> None:
@@ -19,40 +14,14 @@ def entry() -> None:
     from keycld.cli.main import main
 
     code = main()
-    if _ENDING.is_set():
+    if ENDING.is_set():
         threading.Event().wait()  # the other thread ends the process
     sys.exit(code)
 
 
-def end_on_signals() -> None:
-    """End the process with code 130 at an interrupt and 143 at a termination, wherever it is.
-
-    Everything on the disk survives a kill, so nothing need be unwound: an exception would have to pass through
-    compiled code, which may crash or lose it. A thread of its own does not wait for long compilations either.
-    """
-    numbers = [each for each in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(each) is not signal.SIG_IGN]
-    arrived, wake = os.pipe()
-    os.set_blocking(wake, False)
-    for number in numbers:
-        signal.signal(number, lambda *_: None)
-    signal.set_wakeup_fd(wake, warn_on_full_buffer=False)
-    threading.Thread(target=_end_when_told, args=(arrived, numbers), daemon=True).start()
-
-
-def _end_when_told(arrived: int, numbers: list[signal.Signals]) -> None:
-    while (number := os.read(arrived, 1)[0]) not in numbers:
-        pass
-    _ENDING.set()
-    word = "interrupted" if number == signal.SIGINT else "terminated"
-    with contextlib.suppress(OSError):  # nobody may read
-        os.write(2, f"\nkeycld: {word}; the same command continues.\n".encode())
-    discard_partial()
-    os._exit(128 + number)
-
-
 def say(sentence: str) -> None:
     """Print a sentence on the standard error, on one line and without control characters that a file may hold."""
-    if not _ENDING.is_set():
+    if not ENDING.is_set():
         line = " ".join(sentence.split())
         print("".join(c if c.isprintable() else "�" for c in line), file=sys.stderr)
 

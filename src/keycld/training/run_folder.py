@@ -128,7 +128,7 @@ def parse_config(path: Path) -> RunConfig:
             settings = config.changed(config.migrated(saved["settings"], version)).settings()
             saved = {**saved, "settings": settings, "schema_version": SCHEMA_VERSION}
         checked(saved["scene"], Scene, "scene")
-        return checked(saved, RunConfig)
+        return checked({**saved, "input_names": tuple(saved["input_names"])}, RunConfig)
     except FileNotFoundError:
         raise KeycldError(
             f"{path.parent} is not a run folder (no config.json); train one with `keycld train`."

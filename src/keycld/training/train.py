@@ -152,7 +152,7 @@ def _blank(config: ModelConfig, scene: Scene) -> AbstractModel:
     try:
         blank = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
     except (MemoryError, OverflowError) as error:
-        raise KeycldError(f"a model of these settings does not fit into memory: make it smaller.") from error
+        raise KeycldError("a model of these settings does not fit into memory: make it smaller.") from error
     size = sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(blank) if hasattr(leaf, "shape"))
     if size > _MOST_WEIGHTS:
         raise KeycldError(
