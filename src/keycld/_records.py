@@ -37,7 +37,8 @@ def checked(value: Any, kind: Any, where: str = "") -> Any:
     Args:
         value: numbers, texts, lists, tables and None.
         kind: the type: bool, int, float (also a whole number), str, None, Any, `Name`, a `Literal`, a union, list[…],
-            tuple[…] (also a list), dict[str, …], a `TypedDict` or a dataclass. Tables may have more entries than a `TypedDict` names.
+            tuple[…] (a list stays one), dict[str, …], a `TypedDict` or a dataclass. A table may have entries that a
+            `TypedDict` does not name.
         where: the dotted name of the value.
 
     Raises:

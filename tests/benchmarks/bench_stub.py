@@ -88,6 +88,7 @@ def fake_evaluation(protocol, vpt, trajectories=4):
     shade = np.broadcast_to((shown % 256).astype(np.uint8)[None, :, None, None, None], (2, len(shown), 16, 16, 3))
     summary = statistics(np.full(trajectories, vpt))
     baselines = ("mean image", "frozen frame")
+    low = {f"{threshold:g}": {**summary, "mean": 0.2} for threshold in protocol.thresholds}
     scores = {
         "protocol": {
             "name": protocol.name,
@@ -104,13 +105,7 @@ def fake_evaluation(protocol, vpt, trajectories=4):
         "threshold": 1e-3,
         "mse": 1e-3,
         "epsilon": 1e-3,
-        "baselines": {
-            name: {
-                "mse": 1e-2,
-                "vpt": {f"{threshold:g}": {**summary, "mean": 0.2} for threshold in protocol.thresholds},
-            }
-            for name in baselines
-        },
+        "baselines": {name: {"mse": 1e-2, "vpt": low} for name in baselines},
         "masses": [1.0],
     }
     arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}

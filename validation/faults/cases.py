@@ -18,6 +18,7 @@ class Target(NamedTuple):
 
 _EVAL = ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10")
 _TRAIN = ("train", "{work}/data", "--out", "{work}/run")
+_AGAIN = ("train", "--config", "{work}/run/config.json", "--out", "{work}/new")
 _REPORT = ("report", "{work}/run")
 _PREDICT = ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/out.h5")
 _CHECK = ("data", "check", "{work}/data")
@@ -34,7 +35,7 @@ TARGETS = (
     Target("data/sweeps.h5", (_CHECK, _EVAL)),
     Target("data/statistics.json", (_CHECK, _SHOW)),
     Target("data/constraints.toml", (_TRAIN,)),
-    Target("run/config.json", (_REPORT, _PREDICT, ("train", "--config", "{work}/run/config.json", "--out", "{work}/n"))),
+    Target("run/config.json", (_REPORT, _PREDICT, _AGAIN)),
     Target("run/metrics.jsonl", (_REPORT,)),
     Target("run/environment.json", (_REPORT,)),
     Target("run/verdict.json", (_PREDICT,)),

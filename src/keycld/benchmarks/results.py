@@ -99,9 +99,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
     trained_in = read_json(run / "environment.json", _Environment)
     statistics, lines = read_statistics(data), read_lines(run / "metrics.jsonl", _Cost)
     if config is None or trained_in is None or statistics is None or not lines:
-        raise KeycldError(
-            f"{run} or {data} lacks config.json, environment.json, metrics.jsonl or statistics.json: train again."
-        )
+        raise KeycldError(f"{run} or {data} lacks results of the training: train again.")
     last = lines[-1]
     stored = {protocol.name: load_evaluation(run, protocol.name) for protocol in experiment.protocols}
     return {
