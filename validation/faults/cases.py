@@ -17,8 +17,9 @@ class Target(NamedTuple):
 
 
 _EVAL = ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10")
-_TRAIN = ("train", "{work}/data", "--out", "{work}/run")
-_AGAIN = ("train", "--config", "{work}/run/config.json", "--out", "{work}/new")
+# The settings of the run, which the command line takes as text.
+_TRAIN = ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/run")
+_AGAIN = ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/new")
 _REPORT = ("report", "{work}/run")
 _PREDICT = ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/out.h5")
 _CHECK = ("data", "check", "{work}/data")
@@ -61,6 +62,7 @@ def make_originals(folder: Path, repository: Path) -> None:
     """Make one whole file of every kind: a small data set, a trained and evaluated run, a video, a suite, results."""
     sys.path.insert(0, str(repository / "tests"))
     from keycld.data import Trajectories, open_data, read, write
+    from keycld.data.describe.statistics import split_statistics
     from keycld.drawing import save_image, save_movie
     from keycld.evaluation import evaluate, protocol_named, save_evaluation
     from keycld.evaluation.evaluate import Evaluation
@@ -73,9 +75,6 @@ def make_originals(folder: Path, repository: Path) -> None:
     (folder / "data" / "constraints.toml").write_text(
         'keypoints = ["tip"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "tip"\npoint = [0.0, 0.0]\n'
     )
-    splits = {name: {"trajectories": 1, "frames": 1, "bytes": 1, "sha256": "0"} for name in ("train",)}
-    recipe = {"system": "mine", "protocol": "own", "splits": []}
-    _json(folder / "data" / "statistics.json", {"splits": splits, "recipe": recipe, "seconds": 1.0, "renderer": "x"})
     model = train(folder / "data", folder / "run", config_for("keycld", "fast", **TINY), log_every=2)
     newest = latest_checkpoint(folder / "run")
     assert newest is not None
@@ -95,13 +94,16 @@ def make_originals(folder: Path, repository: Path) -> None:
     }  # fmt: skip
     save_evaluation(folder / "run", "sweeps", Evaluation({"potential_range": {"turn": 4.0}}, arrays))
     sweeps = Trajectories(
-        time=0.1 * np.arange(1, 6), input=np.zeros((1, 1), np.float32), image=pictures[None],
+        time=data.dt * np.arange(1, 6), input=np.zeros((1, 1), np.float32), image=pictures[None],
         state=np.zeros((1, 5, 2)),
         parameters={"name": np.array(["turn"]), "vary": np.array(["angle"]), "length": np.array([5]),
                     "shape": np.array([[5, 1]])},
-        attributes={"system": data.system, "dt": 0.1, "state_names": ("angle", "rate"), "units": ("rad", "rad/s")},
+        attributes={"system": data.system, "dt": data.dt, "state_names": ("angle", "rate"), "units": ("rad", "rad/s")},
     )  # fmt: skip
     write(folder / "data/sweeps.h5", sweeps)
+    splits = {path.stem: split_statistics(path) for path in sorted((folder / "data").glob("*.h5"))}
+    recipe = {"system": "mine", "protocol": "own", "splits": []}
+    _json(folder / "data/statistics.json", {"splits": splits, "recipe": recipe, "seconds": 1.0, "renderer": "x"})
     movie = np.random.default_rng(0).integers(0, 255, (30, 16, 24, 3), np.uint8)
     save_movie(folder / "swing.mp4", movie, fps=25, scale=1)
     save_image(folder / "goal.png", pictures[0])

@@ -161,11 +161,10 @@ def damage_hdf5(path: Path, random: Random) -> str:
         if what == "attribute":
             key = random.choice(["dt", "system", "schema_version", "state_names", "units", "input_names", "renderer"])
             file.attrs.pop(key, None)
-            value = random.choice([each for each in (*TEXTS, *NUMBERS, [1.0, 2.0], ["a", "b"])])
+            value = random.choice([*TEXTS[1:], *NUMBERS, [1.0, 2.0], ["a", "b"]])
             if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 2**63:
                 value = float(value)
-            if value != "nan":
-                file.attrs[key] = value
+            file.attrs[key] = value
             return f"attribute {key}"
         del file[name]
         shape = old.shape
@@ -191,6 +190,6 @@ def damage_hdf5(path: Path, random: Random) -> str:
         elif what == "shape":
             file[name] = random.choice([old.reshape(-1), old[None], old[:0], old[..., :0], old[:1]])
         elif what == "values":
-            new = np.zeros_like(old) if old.dtype.kind not in "f" else np.full_like(old, random.choice([np.nan, 1e308]))
+            new = np.full_like(old, random.choice([np.nan, 1e308])) if old.dtype.kind == "f" else old
             file[name] = new
         return f"{what} {name}"

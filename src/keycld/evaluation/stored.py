@@ -168,7 +168,7 @@ def layout(scores: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
         "time": ("f", f"{horizon}"),
         "keypoints": ("f", f"_ {horizon} K 2"),
         "observed_keypoints": ("f", "shown F K 2"),
-        "heat_maps": ("uf", "shown F K H W"),
+        "heat_maps": ("uf", "shown F K _ _"),
         "coordinate_error": ("f", f"{n} {horizon} {coordinates}"),
         "free_kinetic": ("f", f"free {horizon}"),
         "free_potential": ("f", f"free {horizon}"),
