@@ -19,7 +19,6 @@ class Target(NamedTuple):
 _EVAL = ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10")
 # The settings of the run, which the command line takes as text.
 _TRAIN = ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/run")
-_AGAIN = ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/new")
 _REPORT = ("report", "{work}/run")
 _PREDICT = ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/out.h5")
 _CHECK = ("data", "check", "{work}/data")
@@ -36,7 +35,7 @@ TARGETS = (
     Target("data/sweeps.h5", (_CHECK, _EVAL)),
     Target("data/statistics.json", (_CHECK, _SHOW)),
     Target("data/constraints.toml", (_TRAIN,)),
-    Target("run/config.json", (_REPORT, _PREDICT, _AGAIN)),
+    Target("run/config.json", (_REPORT, _PREDICT, _TRAIN)),
     Target("run/metrics.jsonl", (_REPORT,)),
     Target("run/environment.json", (_REPORT,)),
     Target("run/verdict.json", (_PREDICT,)),

@@ -136,7 +136,7 @@ def checked_scores(scores: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def _expect(holds: bool, what: str) -> None:
+def _expect(holds: object, what: object) -> None:
     if not holds:
         raise Unexpected(f"the numbers of '{what}' do not fit the others")
 
