@@ -15,6 +15,7 @@ import signal
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -40,8 +41,8 @@ def run_case(number: int, seed: int, base: Path, usual: dict[str, float]) -> dic
     shutil.rmtree(base / "case", ignore_errors=True)
     outer.mkdir(parents=True)
     shutil.copytree(base / "original", outer / "work")
-    done = damage(outer / "work" / target.file, seed * 10**6 + number) if number >= 0 else "nothing"
-    limit = usual.get(" ".join(words), 120.0) + _EXTRA_SECONDS
+    done = damage(outer / "work" / target.file, seed * 10**6 + number)
+    limit = usual[" ".join(words)] + _EXTRA_SECONDS
     found = run_verb([word.replace("{work}", str(outer / "work")) for word in words], outer, base, limit)
     strangers = [str(path) for path in (base / "case").rglob("*") if outer / "work" not in (path, *path.parents)]
     strangers = [path for path in strangers if Path(path) not in (outer, *outer.parents, outer / "stderr")]
@@ -49,12 +50,14 @@ def run_case(number: int, seed: int, base: Path, usual: dict[str, float]) -> dic
             "words": " ".join(words), **found}  # fmt: skip
 
 
-def run_verb(words: list[str], outer: Path, base: Path, limit: float) -> dict[str, Any]:
-    """Run one verb in a forked process and judge how it ends."""
+def run_verb(
+    words: list[str], outer: Path, base: Path, limit: float, first: Callable[[], object] = lambda: None
+) -> dict[str, Any]:
+    """Run one verb in a forked process, which calls `first` before, and judge how it ends."""
     since = time.monotonic()
     child = os.fork()
     if child == 0:
-        _become(words, outer, base)
+        _become(words, outer, base, first)
     status, usage = _wait(child, since + limit)
     code = os.waitstatus_to_exitcode(status)
     text = (outer / "stderr").read_text(errors="replace")
@@ -74,13 +77,13 @@ def run_verb(words: list[str], outer: Path, base: Path, limit: float) -> dict[st
     }  # fmt: skip
 
 
-def _become(words: list[str], outer: Path, base: Path) -> None:
+def _become(words: list[str], outer: Path, base: Path, first: Callable[[], object]) -> None:
     """Run the verb in this process, which ends."""
     os.setpgid(0, 0)
     os.chdir(outer)
     os.environ["TMPDIR"] = str(base / "tmp")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    handle = os.open(outer / "stderr", os.O_WRONLY | os.O_CREAT)
+    handle = os.open(outer / "stderr", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
@@ -89,6 +92,7 @@ def _become(words: list[str], outer: Path, base: Path) -> None:
     try:
         from keycld.cli.main import main
 
+        first()
         code = main(words)
     except SystemExit as error:
         code = int(error.code or 0)
@@ -111,6 +115,18 @@ def _wait(child: int, until: float) -> tuple[int, Any]:
         time.sleep(0.005)
 
 
+def usual_seconds(words: tuple[str, ...], base: Path) -> float:
+    """Return how long a verb takes on whole files."""
+    outer = base / "case" / "whole"
+    shutil.rmtree(base / "case", ignore_errors=True)
+    outer.mkdir(parents=True)
+    shutil.copytree(base / "original", outer / "work")
+    found = run_verb([word.replace("{work}", str(outer / "work")) for word in words], outer, base, 300.0)
+    print(f"{' '.join(words)}: {found['seconds']} s on whole files, exit {found['exit']}", file=sys.stderr, flush=True)
+    assert found["exit"] == 0 and not found["faults"], found
+    return found["seconds"]
+
+
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
     """Count cases, verdicts and the largest figures."""
     return {
@@ -131,6 +147,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", nargs="*", help="first words of the verbs to run; by default all")
     parser.add_argument("--work", type=Path, required=True)
     options = parser.parse_args()
     base = options.work.resolve()
@@ -142,25 +159,20 @@ def main() -> None:
         os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-c", code, str(base / "new"), str(REPOSITORY)])
         (base / "new").rename(base / "original")
     prepare()
-    from validation.faults.cases import TARGETS
-
     usual: dict[str, float] = {}
-    for target in TARGETS:
-        for k, words in enumerate(target.verbs):
-            whole = run_case(-len(TARGETS) * (len(target.verbs) - k) + TARGETS.index(target), 0, base, {})
-            if whole["words"] != " ".join(words) or whole["exit"] != 0 or whole["faults"]:
-                print("the whole files fail:", whole, file=sys.stderr)
-            usual[whole["words"]] = whole["seconds"]
-    print({words[:40]: seconds for words, seconds in usual.items()}, file=sys.stderr, flush=True)
     path = base / "fuzz.jsonl"
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     known = {line["case"] for line in lines}
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
-            if number not in known:
-                lines.append(run_case(number, options.seed, base, usual))
-                file.write(json.dumps(lines[-1]) + "\n")
-                file.flush()
+            _, words = chosen(number, options.seed)
+            if number in known or (options.only and words[0] not in options.only):
+                continue
+            if " ".join(words) not in usual:
+                usual[" ".join(words)] = usual_seconds(words, base)
+            lines.append(run_case(number, options.seed, base, usual))
+            file.write(json.dumps(lines[-1]) + "\n")
+            file.flush()
     print(json.dumps(summary(lines), indent=1))
 
 
