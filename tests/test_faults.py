@@ -4,6 +4,7 @@ import fcntl
 import json
 import os
 import resource
+import runpy
 import signal
 import subprocess
 import sys
@@ -264,3 +265,12 @@ def test_a_second_process_waits_for_the_lock(tmp_path):
 
     with alone(tmp_path), (tmp_path / ".lock").open() as file, pytest.raises(BlockingIOError):
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def test_the_bill_of_materials_has_every_pinned_package():
+    lock = (REPOSITORY / "requirements.lock").read_text()
+    parts = runpy.run_path(str(REPOSITORY / "scripts" / "bill_of_materials.py"))["bill"](lock)["components"]
+    pinned = [line.split(" ")[0] for line in lock.splitlines() if "==" in line and not line.startswith(("#", " "))]
+    assert [f"{part['name']}=={part['version']}" for part in parts] == pinned
+    assert sum(len(part["externalReferences"]) for part in parts) == lock.count("--hash=sha256:")
+    assert "index-url http" not in lock

@@ -45,7 +45,7 @@ def run_case(number: int, seed: int, base: Path, usual: dict[str, float]) -> dic
     limit = usual[" ".join(words)] + _EXTRA_SECONDS
     found = run_verb([word.replace("{work}", str(outer / "work")) for word in words], outer, base, limit)
     strangers = [str(path) for path in (base / "case").rglob("*") if outer / "work" not in (path, *path.parents)]
-    strangers = [path for path in strangers if Path(path) not in (outer, *outer.parents, outer / "stderr")]
+    strangers = [path for path in strangers if Path(path) not in (outer, *outer.parents)]
     return {"case": number, "file": target.file, "verb": " ".join(words[:2]), "damage": done, "outside": strangers,
             "words": " ".join(words), **found}  # fmt: skip
 
@@ -55,12 +55,18 @@ def run_verb(
 ) -> dict[str, Any]:
     """Run one verb in a forked process, which calls `first` before, and judge how it ends."""
     since = time.monotonic()
+    # A pipe: a limit on the size of files must not cut what is said.
+    listening, speaking = os.pipe()
     child = os.fork()
     if child == 0:
-        _become(words, outer, base, first)
-    status, usage = _wait(child, since + limit)
+        os.close(listening)
+        _become(words, outer, base, first, speaking)
+    os.close(speaking)
+    os.set_blocking(listening, False)
+    status, usage, said = _wait(child, since + limit, listening)
+    os.close(listening)
     code = os.waitstatus_to_exitcode(status)
-    text = (outer / "stderr").read_text(errors="replace")
+    text = said.decode(errors="replace")
     peak = usage.ru_maxrss * 1024
     verdicts = {
         "hang": code == -signal.SIGKILL,
@@ -77,13 +83,12 @@ def run_verb(
     }  # fmt: skip
 
 
-def _become(words: list[str], outer: Path, base: Path, first: Callable[[], object]) -> None:
+def _become(words: list[str], outer: Path, base: Path, first: Callable[[], object], handle: int) -> None:
     """Run the verb in this process, which ends."""
     os.setpgid(0, 0)
     os.chdir(outer)
     os.environ["TMPDIR"] = str(base / "tmp")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    handle = os.open(outer / "stderr", os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
@@ -102,16 +107,20 @@ def _become(words: list[str], outer: Path, base: Path, first: Callable[[], objec
         os._exit(code)
 
 
-def _wait(child: int, until: float) -> tuple[int, Any]:
+def _wait(child: int, until: float, listening: int) -> tuple[int, Any, bytes]:
+    said = bytearray()
     while True:
         pid, status, usage = os.wait4(child, os.WNOHANG)
+        with contextlib.suppress(BlockingIOError):
+            while part := os.read(listening, 2**16):
+                said += part
         if pid:
-            return status, usage
+            return status, usage, bytes(said)
         if time.monotonic() > until:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child, signal.SIGKILL)
             _, status, usage = os.wait4(child, 0)
-            return status, usage
+            return status, usage, bytes(said)
         time.sleep(0.005)
 
 
