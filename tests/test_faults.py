@@ -274,3 +274,15 @@ def test_the_bill_of_materials_has_every_pinned_package():
     assert [f"{part['name']}=={part['version']}" for part in parts] == pinned
     assert sum(len(part["externalReferences"]) for part in parts) == lock.count("--hash=sha256:")
     assert "index-url http" not in lock
+
+
+def test_a_lock_on_a_full_disk_is_one_sentence(tmp_path):
+    from keycld._lock import alone
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(KeycldError, match="larger than"), alone(tmp_path):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)

@@ -65,9 +65,13 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
         except BlockingIOError:
             yield False
             return
-        file.truncate(0)
-        file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}))
-        file.flush()
+        note = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()})
+        try:
+            file.truncate(0)
+            # Without a buffer, which would be written again when the file is closed.
+            os.write(file.fileno(), note.encode())
+        except OSError as error:
+            raise writing_error(path, error) from error
         done = threading.Event()
         beat = threading.Thread(target=_beat, args=(path, done), daemon=True)
         beat.start()
