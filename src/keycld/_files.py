@@ -40,7 +40,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
     _open.add(hidden)
     try:
         hidden.mkdir(parents=True, exist_ok=True)
-        _remove_orphans(path)
+        remove_orphans(path.parent, path.name)
         yield hidden / path.name
         sync(hidden / path.name)
         os.replace(hidden / path.name, path)
@@ -58,10 +58,11 @@ def discard_partial() -> None:
         shutil.rmtree(hidden, ignore_errors=True)
 
 
-def _remove_orphans(path: Path) -> None:
-    """Remove what processes of this machine that are dead left of a file."""
-    form = re.compile(rf"\.{re.escape(path.name)}\.(\d+)(?:@{re.escape(socket.gethostname())})?\.partial")
-    with os.scandir(path.parent) as entries:
+def remove_orphans(folder: Path, name: str | None = None) -> None:
+    """Remove what processes of this machine that are dead left in a folder, of all files or of one."""
+    names = ".+" if name is None else re.escape(name)
+    form = re.compile(rf"\.{names}\.(\d+)(?:@{re.escape(socket.gethostname())})?\.partial")
+    with os.scandir(folder) as entries:
         found = [(entry.path, form.fullmatch(entry.name)) for entry in entries]
     for orphan, match in found:
         if match and not alive(int(match[1])):

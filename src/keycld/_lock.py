@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple, TypedDict
 
-from keycld._files import alive, make_folder, writing_error
+from keycld._files import alive, make_folder, remove_orphans, writing_error
 from keycld._records import checked
 
 _BEAT_SECONDS = 10.0
@@ -99,6 +99,7 @@ def alone(folder: Path, doing: str = "makes data", lock: str = ".lock") -> Itera
         if not held.enter_context(locked(folder / lock)):
             print(f"waiting for another process that {doing} in {folder}", file=sys.stderr, flush=True)
             held.enter_context(locked(folder / lock, wait=True))
+        remove_orphans(folder)
         yield
 
 

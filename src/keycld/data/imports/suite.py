@@ -66,6 +66,8 @@ def _import(source: Path, out: Path, system: AbstractSampledSystem, began: float
     features = read_features(source / "features.txt")
     train = source / "train.tfrecord"
     count = count_records(train)
+    if count < 2:
+        raise KeycldError(f"{train} has {count} recordings, too few for training and validation: copy it again.")
     kept = count - validation_count(count)
     examples = read_examples(train, features)
     _write(out, "train", itertools.islice(examples, kept), system, features)
