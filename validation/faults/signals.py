@@ -28,7 +28,9 @@ ALSO: dict[str, tuple[str, ...]] = {
 def attempt(base: Path, words: tuple[str, ...], number: signal.Signals, pause: float) -> str:
     """Return what is wrong with the end of one try, or its code."""
     outer = fresh(base)
-    program = "from keycld.cli.start import entry; entry()"
+    # A shell starts background processes with interrupts ignored.
+    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    program += "from keycld.cli.start import entry; entry()"
     command = [sys.executable, "-c", program, *(word.replace("{work}", str(outer / "work")) for word in words)]
     process = subprocess.Popen(command, cwd=outer, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     time.sleep(pause)
