@@ -14,7 +14,7 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save
 
 from keycld._errors import KeycldError
-from keycld._files import checked_name, make_folder, read_text, replacing, sync, write_text, writing_error
+from keycld._files import checked_name, make_folder, read_text, replacing, write_text
 from keycld._records import Name, read_json
 
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
@@ -104,11 +104,8 @@ def named_arrays(tree: PyTree) -> dict[str, np.ndarray]:
 def save_arrays(path: Path, tree: PyTree) -> None:
     """Write all arrays of a pytree by name, and wait until they are on the disk."""
     contents = save({name: np.asarray(value, order="C") for name, value in named_arrays(tree).items()})
-    try:
-        path.write_bytes(contents)
-        sync(path)
-    except OSError as error:
-        raise writing_error(path, error) from error
+    with replacing(path) as temporary:
+        temporary.write_bytes(contents)
 
 
 def load_arrays(
