@@ -101,6 +101,8 @@ def fake_evaluation(protocol, vpt, trajectories=4):
         "masses": [1.0],
     }
     arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}
+    if protocol.metric == "normalised":
+        arrays["normalised_error"] = errors
     arrays["time"] = 0.05 * np.arange(protocol.horizon)
     return Evaluation(scores, arrays)
 

@@ -89,6 +89,7 @@ def _scores(scores: dict[str, Any]) -> dict[str, Any]:
         "epsilon": scores["epsilon"],
         "baselines": {
             name: {factor: vpt["mean"] for factor, vpt in each["vpt"].items()}
+            | ({"table_units": each["table_units"]} if "table_units" in each else {})
             for name, each in scores["baselines"].items()
         },
         **{name: scores[name] for name in known if name in scores},
