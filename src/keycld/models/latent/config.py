@@ -29,7 +29,7 @@ class LatentConfig(ModelConfig):
     channels: int = 64
     """Channels of the convolutions."""
     taper: bool = False
-    """Whether the decoder halves its channels each time it doubles the picture, which costs a sixth."""
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     hidden: int = 250
     """Units of a hidden layer of the dynamics' networks."""
     depth: int = 4
@@ -167,7 +167,7 @@ class FastSettings(LatentConfig):
     beta: float = 0.1
     """Weight of the KL divergence in `elbo`."""
     taper: bool = True
-    """Whether the decoder halves its channels each time it doubles the picture, which costs a sixth."""
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     rendered: int = 8
     """Random target frames of each window that a step renders and compares; 0: all of them."""
     rate: float = 1.5e-3

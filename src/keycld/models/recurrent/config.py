@@ -31,7 +31,7 @@ class RecurrentConfig(ModelConfig):
     channels: int = 64
     """Channels of the convolutions."""
     taper: bool = False
-    """Whether the decoder halves its channels each time it doubles the picture, which costs a sixth."""
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     given: int = 5
     """Frames that a prediction starts from, at least; with more of them, all are used."""
     window: int = 60

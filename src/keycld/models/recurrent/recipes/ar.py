@@ -36,7 +36,7 @@ class FastAR(RecurrentConfig):
     cell: str = "lstm"
     """Kind of the recurrent cells: `vanilla`, `lstm` or `gru`."""
     taper: bool = True
-    """Whether the decoder halves its channels each time it doubles the picture, which costs a sixth."""
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     rendered: int = 8
     """Random predicted frames of each window that a step renders and compares; 0: all of them."""
     rate: float = 5e-4
