@@ -67,6 +67,15 @@ def test_leapfrog_keeps_the_energy_to_second_order(getkey):
     assert coarse.max() < 0.05 * float(kinetic.max() - kinetic.min())
 
 
+def test_kinetic_energy_is_zero_at_rest(lively, state):
+    """Whatever constant the network of T has learned."""
+    rest = eqx.tree_at(lambda s: s.coordinates.p, state, 0.0 * state.coordinates.p)
+    last = lively.hamiltonian.kinetic.network.layers[-1].bias
+    shifted = eqx.tree_at(lambda m: m.hamiltonian.kinetic.network.layers[-1].bias, lively, last - 7.0)
+    assert float(shifted.kinetic_energy(rest)) == 0.0
+    np.testing.assert_allclose(shifted.kinetic_energy(state), lively.kinetic_energy(state), rtol=1e-4, atol=1e-5)
+
+
 def test_backward_is_the_inverse_of_forward(lively, state):
     there = lively.rollout(state, DT, jnp.zeros(0), 30)
     end = jax.tree.map(lambda path: path[-1], there)

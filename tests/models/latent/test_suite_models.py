@@ -162,6 +162,11 @@ def test_what_a_model_can_do_is_in_its_type(getkey):
         config_for("rgn", "released", regime="forward_backward")
 
 
+def test_an_lgn_has_masses():
+    with pytest.raises(KeycldError, match="mass_offset is above 0"):
+        config_for("lgn", mass_offset=0.0)
+
+
 def test_presets_differ_as_the_paper_and_its_code_do():
     for model in ("hgn", "lgn", "ode", "ode-tr", "rgn", "rgn-res"):
         released, paper = config_for(model, "released"), config_for(model, "paper")

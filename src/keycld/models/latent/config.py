@@ -180,6 +180,12 @@ class FastSettings(LatentConfig):
     """Frames that the first stages predict; the last stage predicts all targets."""
     shares: tuple[float, ...] = (0.06, 0.14)
     """Shares of the steps that the first stages take; the last stage takes the rest."""
+    warmup: float = 0.03
+    """Share of the steps of each stage in which the rate rises from zero: each begins with a fresh Adam."""
+    final: float = 0.02
+    """Last rate of the last stage, as a share of `rate`."""
+    clip: float = 1.0
+    """Largest norm of a gradient; larger ones are scaled down to it."""
 
     def __post_init__(self) -> None:
         """Refuse stages that do not fit together."""
@@ -206,9 +212,8 @@ class FastSettings(LatentConfig):
                 sampler=Windows(self.batch, self.window(scene, targets)),
                 loss=self.loss(scene),
                 groups=(Group("model", lambda m: m, self.rate),),
-                # Each stage begins with a fresh Adam, whose first steps are the largest.
-                schedule=partial(warmup_cosine, warmup=0.03, final=0.02 if last else 1.0),
-                clip=1.0,
+                schedule=partial(warmup_cosine, warmup=self.warmup, final=self.final if last else 1.0),
+                clip=self.clip,
                 validate=last,
             )
             for last, targets, count in zip(

@@ -54,8 +54,9 @@ class HGN(AbstractLatentModel, HasEnergies, Reversible):
         return self.dynamics.hamiltonian
 
     def kinetic_energy(self, state: State) -> Float[Array, ""]:
-        """Return T(p)."""
-        return self.hamiltonian.kinetic(state.coordinates.p)
+        """Return T(p) − T(0): the network itself knows T up to a constant only."""
+        p = state.coordinates.p
+        return self.hamiltonian.kinetic(p) - self.hamiltonian.kinetic(jnp.zeros_like(p))
 
     def potential_energy(self, state: State) -> Float[Array, ""]:
         """Return V(q)."""

@@ -3,6 +3,7 @@
 import dataclasses
 from typing import TYPE_CHECKING
 
+from keycld._errors import KeycldError
 from keycld.models.latent.config import FastSettings, LatentConfig, PaperSettings
 from keycld.models.registry import register_model, register_preset
 from keycld.models.scene import Scene
@@ -24,6 +25,12 @@ class ReleasedLGN(LatentConfig):
     """λ in the mass matrix M = UᵀU + λI, positive."""
     integrator: str = "rk2"
     """A Runge–Kutta method (`rk2`, `rk4`, …), or `adaptive`: Dormand–Prince with error control."""
+
+    def __post_init__(self) -> None:
+        """Refuse masses that could vanish."""
+        super().__post_init__()
+        if self.mass_offset == 0:
+            raise KeycldError("setting mass_offset is above 0: without it the mass matrix may have no inverse.")
 
     def build(self, scene: Scene, key: "PRNGKeyArray") -> "LGN":
         """Build encoder, masses, potential, an input matrix where there are inputs, and decoder."""
