@@ -86,7 +86,8 @@ def main() -> int:
                     outcome = failed[-1]
                 print(f"{time.monotonic() - since:6.0f} s  {system:34} {model:8} {outcome}", flush=True)
     pairs = len(sets) * len(models)
-    print(f"{pairs - len(failed)} of {pairs} pairs in {time.monotonic() - since:.0f} s")
+    cost = f"{time.monotonic() - since:.0f} s, {time.process_time():.0f} s of CPU"
+    print(f"{pairs - len(failed)} of {pairs} pairs in {cost}")
     print("\n".join(failed))
     return 1 if failed else 0
 

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from keycld._errors import KeycldError
-from keycld.mechanics import DormandPrince, Motion, integrator_named
+from keycld.mechanics import DormandPrince, Motion, State, integrator_named
 from keycld.models import Scene, config_for
 from keycld.models.base import HasEnergies, Reversible
 
@@ -128,6 +128,22 @@ def test_the_adaptive_integrator_keeps_to_its_tolerance_where_the_field_is_fast(
     exact = DormandPrince().step(field, state, jnp.zeros(0), 0.125).coordinates
     crude = integrator_named("rk2").step(field, state, jnp.zeros(0), 0.125).coordinates
     assert np.abs(exact - expected).max() < 1e-4 * scale < np.abs(crude - expected).max()
+
+
+def test_the_adaptive_integrator_is_differentiated(getkey):
+    """The gradient of an end point by the initial state, against a difference."""
+    field = built(getkey(), "ode", integrator="adaptive").dynamics.field
+    first, direction = jax.random.normal(getkey(), (2, 6))
+
+    @jax.jit
+    @jax.value_and_grad
+    def end(s):
+        return jnp.sum(DormandPrince().step(field, State(s, {}), jnp.zeros(0), 1.0).coordinates ** 2)
+
+    slope = float(end(first)[1] @ direction)
+    step = 1e-2
+    difference = (float(end(first + step * direction)[0]) - float(end(first - step * direction)[0])) / (2 * step)
+    assert slope == pytest.approx(difference, rel=2e-3)
 
 
 @pytest.mark.parametrize("model", ["rgn", "rgn-res"])
