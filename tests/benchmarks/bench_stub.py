@@ -108,8 +108,12 @@ def fake_evaluation(protocol, vpt, trajectories=4):
         "baselines": {name: {"mse": 1e-2, "vpt": low} for name in baselines},
         "masses": [1.0],
     }
-    arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}
-    arrays |= {f"baseline_mse_{name.replace(' ', '_')}": errors for name in baselines} | {"u": np.zeros((2, 1))}
+    kind = "mse"
+    if protocol.metric == "normalised":
+        kind = "normalised_error"
+        scores |= {"normalised_error": {"extrapolation": 0.01}, "table_units": {"extrapolation": 33.0}}
+    arrays = {kind: errors} | {f"baseline_{kind}_{name.replace(' ', '_')}": errors for name in baselines}
+    arrays |= {"truth": shade, "prediction": 255 - shade, "shown_index": shown, "u": np.zeros((2, 1))}
     arrays["time"] = 0.05 * np.arange(protocol.horizon)
     return Evaluation(scores, arrays)
 

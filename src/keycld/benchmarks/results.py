@@ -4,7 +4,7 @@ import json
 import re
 import time
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
@@ -36,7 +36,8 @@ class _Vpt(TypedDict):
 class _Scores(TypedDict):
     vpt: dict[str, _Vpt]
     epsilon: float
-    baselines: dict[str, dict[str, float]]
+    table_units: NotRequired[dict[str, float | None]]
+    baselines: dict[str, dict[str, float | dict[str, float | None]]]
 
 
 class _Curve(TypedDict):
@@ -156,6 +157,7 @@ def _scores(scores: dict[str, Any]) -> dict[str, Any]:
         "epsilon": scores["epsilon"],
         "baselines": {
             name: {factor: vpt["mean"] for factor, vpt in each["vpt"].items()}
+            | ({"table_units": each["table_units"]} if "table_units" in each else {})
             for name, each in scores["baselines"].items()
         },
         **{name: scores[name] for name in known if name in scores},

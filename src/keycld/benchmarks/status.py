@@ -8,6 +8,7 @@ from keycld._files import read_text
 from keycld._lock import holder
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import Failure, Result, read_json
+from keycld.evaluation import headline_vpt
 
 # Files of a run folder that are the bench's own.
 LOCK, LOG = "bench.lock", "bench.log"
@@ -69,7 +70,7 @@ def status_table(experiments: Sequence[Experiment], place: Place) -> str:
         status = status_of(experiment, place)
         shown = ""
         if status.word == "done" and status.result is not None:
-            vpt = status.result["scores"][headline]["vpt"]["1"]["mean"]
+            vpt = headline_vpt(status.result["scores"][experiment.protocols[0].name])["mean"]
             shown = f"{vpt:6.3f}{status.result['training']['seconds'] / 60.0:9.1f}"
         lines.append(f"{experiment.name:{width}}  {status.word:8}{shown:15}  {status.detail}".rstrip())
     return "\n".join(lines)
