@@ -204,7 +204,9 @@ def test_an_unforeseen_error_is_one_sentence(monkeypatch, capsys, tmp_path):
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 @pytest.mark.parametrize("pause", [0.4, 1.2, 3.0])
 def test_a_signal_ends_the_command_without_a_traceback(tmp_path, number, code, pause):
-    command = [sys.executable, "-m", "keycld.cli.main", "data", "make", "toy/pendulum", "--out", "data"]
+    # A shell's background job ignores interrupts, and so would these tests in one.
+    command = ["env", "--default-signal=INT", sys.executable]
+    command += ["-m", "keycld.cli.main", "data", "make", "toy/pendulum", "--out", "data"]
     process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
     time.sleep(pause)
     process.send_signal(number)
