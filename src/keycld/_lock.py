@@ -5,15 +5,23 @@ import fcntl
 import json
 import os
 import socket
+import sys
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, TypedDict
 
-from keycld._files import make_folder, writing_error
+from keycld._files import alive, make_folder, remove_orphans, writing_error
+from keycld._records import checked
 
 _BEAT_SECONDS = 10.0
+
+
+class _Note(TypedDict):
+    pid: int
+    host: str
+    since: float
 
 
 class Holder(NamedTuple):
@@ -57,9 +65,13 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
         except BlockingIOError:
             yield False
             return
-        file.truncate(0)
-        file.write(json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()}))
-        file.flush()
+        note = json.dumps({"pid": os.getpid(), "host": socket.gethostname(), "since": time.time()})
+        try:
+            file.truncate(0)
+            # Without a buffer, which would be written again when the file is closed.
+            os.write(file.fileno(), note.encode())
+        except OSError as error:
+            raise writing_error(path, error) from error
         done = threading.Event()
         beat = threading.Thread(target=_beat, args=(path, done), daemon=True)
         beat.start()
@@ -71,13 +83,35 @@ def locked(path: Path, *, wait: bool = False) -> Iterator[bool]:
             file.truncate(0)
 
 
+@contextlib.contextmanager
+def alone(folder: Path, doing: str = "makes data", lock: str = ".lock") -> Iterator[None]:
+    """Wait until no other process does the same in a folder, and keep others waiting.
+
+    Args:
+        folder: the folder.
+        doing: what, for the line that says so.
+        lock: name of the lock's file.
+
+    Raises:
+        KeycldError: as `locked`.
+    """
+    with contextlib.ExitStack() as held:
+        if not held.enter_context(locked(folder / lock)):
+            print(f"waiting for another process that {doing} in {folder}", file=sys.stderr, flush=True)
+            held.enter_context(locked(folder / lock, wait=True))
+        remove_orphans(folder)
+        yield
+
+
 def holder(path: Path) -> Holder | None:
     """Return the holder of the lock in the file `path`, or None."""
     try:
         with path.open() as file:
-            text = file.read()
-            found = json.loads(text) if text else None
-            if found is None or (found["host"] == socket.gethostname() and not _alive(found["pid"])):
+            text = file.read(1000)
+            if not text:
+                return None
+            found = checked(json.loads(text), _Note)
+            if found["host"] == socket.gethostname() and not alive(found["pid"]):
                 return None
             try:  # by now another process may have this number
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -88,16 +122,6 @@ def holder(path: Path) -> Holder | None:
                 return Holder(found["pid"], found["host"], now - found["since"], silent)
     except (FileNotFoundError, ValueError):  # ValueError: the file is being written
         return None
-
-
-def _alive(pid: int) -> bool:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except PermissionError:
-        pass
-    return True
 
 
 def _beat(path: Path, done: threading.Event) -> None:

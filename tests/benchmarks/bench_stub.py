@@ -30,12 +30,15 @@ def notes(root):
     return path.read_text().splitlines() if path.exists() else []
 
 
+TRAIN = {"trajectories": 4, "frames": 50, "bytes": 1, "sha256": "abc"}
+
+
 def make_data(experiment, place):
     folder = place.data(experiment)
     if not (folder / "statistics.json").exists():
         note(place, f"data {folder.name}")
         folder.mkdir(parents=True)
-        write(folder / "statistics.json", {"splits": {"train": {"sha256": "abc"}}, "recipe": {"system": folder.name}})
+        write(folder / "statistics.json", {"splits": {"train": TRAIN}, "recipe": {"system": folder.name, "splits": []}})
 
 
 def train_model(experiment, place):
@@ -85,8 +88,15 @@ def fake_evaluation(protocol, vpt, trajectories=4):
     shade = np.broadcast_to((shown % 256).astype(np.uint8)[None, :, None, None, None], (2, len(shown), 16, 16, 3))
     summary = statistics(np.full(trajectories, vpt))
     baselines = ("mean image", "frozen frame")
+    low = {f"{threshold:g}": {**summary, "mean": 0.2} for threshold in protocol.thresholds}
     scores = {
-        "protocol": {"name": protocol.name, "given": protocol.given, "horizon": protocol.horizon},
+        "protocol": {
+            "name": protocol.name,
+            "split": protocol.split,
+            "given": protocol.given,
+            "horizon": protocol.horizon,
+        },
+        "n": trajectories,
         "dt": 0.05,
         "vpt": {f"{each:g}": {**summary, "frames": passed(errors, 1e-3 * each)} for each in protocol.thresholds},
         "metric": protocol.metric,
@@ -95,12 +105,15 @@ def fake_evaluation(protocol, vpt, trajectories=4):
         "threshold": 1e-3,
         "mse": 1e-3,
         "epsilon": 1e-3,
-        "baselines": {
-            name: {"vpt": {f"{threshold:g}": {"mean": 0.2} for threshold in protocol.thresholds}} for name in baselines
-        },
+        "baselines": {name: {"mse": 1e-2, "vpt": low} for name in baselines},
         "masses": [1.0],
     }
-    arrays = {"mse": errors, "truth": shade, "prediction": 255 - shade, "shown_index": shown}
+    kind = "mse"
+    if protocol.metric == "normalised":
+        kind = "normalised_error"
+        scores |= {"normalised_error": {"extrapolation": 0.01}, "table_units": {"extrapolation": 33.0}}
+    arrays = {kind: errors} | {f"baseline_{kind}_{name.replace(' ', '_')}": errors for name in baselines}
+    arrays |= {"truth": shade, "prediction": 255 - shade, "shown_index": shown, "u": np.zeros((2, 1))}
     arrays["time"] = 0.05 * np.arange(protocol.horizon)
     return Evaluation(scores, arrays)
 
@@ -116,7 +129,7 @@ def record(experiment, place, vpt, seconds=60.0):
         save_evaluation(run, protocol.name, fake_evaluation(protocol, vpt))
     make_data(experiment, place)
     write_run(experiment, run)
-    write(run / "metrics.jsonl", {"seconds": seconds, "cpu_seconds": 0.0, "frames": 1})
+    write(run / "metrics.jsonl", {"step": STEPS, "seconds": seconds, "cpu_seconds": 0.0, "frames": 1})
     result = condense(experiment, place, {"training": seconds, "evaluation": 1.0})
     write_json(place.result(experiment), result)
     return result

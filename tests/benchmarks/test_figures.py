@@ -40,7 +40,7 @@ def pendulum_sweeps(factor=1.0):
     for name, values, part in (("rotation", ANGLE, 1.0), ("cart", ANGLE / np.pi, 0.01)):
         arrays |= {
             f"{name}/values": values[:, None],
-            f"{name}/shape": np.array([33, 1]),
+            f"{name}/shape": np.array([33]),
             f"{name}/potential": part * factor * np.cos(ANGLE),
             f"{name}/keypoints": 0.6 * np.stack([np.sin(ANGLE), np.cos(ANGLE)], axis=-1)[:, None].astype(np.float32),
             f"{name}/image": np.full((33, 16, 16, 3), 90, np.uint8),
@@ -59,8 +59,17 @@ def seen(truth):
 def closed_loop():
     """Trial of 200 frames, whose shade is the frame's number, that keeps the goal from frame SETTLED on."""
     shades = np.broadcast_to(np.arange(201, dtype=np.uint8)[:, None, None, None], (201, 16, 16, 3))
-    scores = {"law": "paper", "dt": 0.02, "settled_seconds": [0.02 * SETTLED]}
-    return Evaluation(scores, {"frames": shades, "goal_frame": np.full((16, 16, 3), 250, np.uint8)})
+    step = {"median_ms": 1.0, "p99_ms": 1.0, "period_ms": 20.0, "missed": 0, "frames": 200}
+    scores = {
+        "law": "paper", "dt": 0.02, "settled_seconds": [0.02 * SETTLED], "n": 1, "successes": 1, "limit": None,
+        "estimator": "predict-correct", "disturbance": {"noise": 0.0, "dropped": 0.0}, "goal": "upright",
+        "inputs": ["torque"], "acting": ["torque"], "largest_input": [1.0], "mean_mass": 1.0, "step": step,
+    }  # fmt: skip
+    arrays = {
+        "frames": shades, "goal_frame": np.full((16, 16, 3), 250, np.uint8), "x": np.zeros((1, 200, 2)),
+        "good": np.zeros((1, 200), bool), "input": np.zeros((1, 200, 1)), "tilts": np.zeros((1, 201, 1)),
+    }  # fmt: skip
+    return Evaluation(scores, arrays)
 
 
 def select(**choice):

@@ -21,7 +21,7 @@ from keycld.benchmarks import (
     tables,
 )
 from keycld.benchmarks.experiment import Experiment
-from keycld.benchmarks.results import read_json, write_json
+from keycld.benchmarks.results import Result, read_json, write_json
 
 
 @pytest.fixture
@@ -94,7 +94,7 @@ def test_a_result_holds_its_command_commit_and_hashes(place):
     curve = result["curves"]["test_long@500"]
     assert len(curve["frame"]) == 50 and curve["frame"][-1] == 499
     assert curve["low"][0] < curve["mean"][0] < curve["high"][0] and curve["mean"][0] == pytest.approx(1.25e-5)
-    assert read_json(place.result(experiment)) == result
+    assert read_json(place.result(experiment), Result) == result
     assert place.result(experiment).stat().st_size < 16_000
 
 
@@ -129,7 +129,7 @@ def test_the_table(place):
     assert found["minutes"].rows[0].cells[0] == pytest.approx((2.0, 1.0, 3))
     for seed, commit in ((0, "1234567890"), (1, "abcdef0123"), (2, "abcdef0123")):
         path = place.result(by_name[f"pendulum-keycld-{seed}"])
-        write_json(path, {**read_json(path), "commit_scored": commit})
+        write_json(path, {**read_json(path, Result), "commit_scored": commit})
     origin = provenance([each for each in chosen if each.data.system == "pendulum"], place)
     assert origin.endswith(": KeyCLD 1234567 (1), abcdef0 (2)")
     assert "| KeyCLD | 0.900 ± 0.100 (3) | 0.500 (1) |" in as_markdown(table)

@@ -200,9 +200,9 @@ def test_a_folder(tmp_path):
     (differs,) = check(tmp_path)
     assert "validation.h5 differs from train.h5 in 'dt'" in differs
     (tmp_path / "validation.h5").unlink()
-    (tmp_path / "statistics.json").write_text(
-        json.dumps({"splits": {"train": {"sha256": "0"}, "test": {"sha256": "0"}}})
-    )
+    figures = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
+    described = {"splits": dict.fromkeys(("train", "test"), figures)}
+    (tmp_path / "statistics.json").write_text(json.dumps(described))
     changed, lacks = check(tmp_path)
     assert "train.h5 has changed" in changed and "lacks test.h5" in lacks
     (tmp_path / "statistics.json").write_text("{")

@@ -23,7 +23,7 @@ from keycld.data import (
     with_pictures,
     write,
 )
-from keycld.data.format import derived, writing
+from keycld.data.format import derived
 from keycld.data.format.writing import join
 from keycld.data.generate.sampled import sampled_parts, sampled_recipe, sampled_splits
 from keycld.systems import AbstractSampledSystem, Recording, get, names
@@ -214,7 +214,7 @@ def test_interrupted_work_is_resumed(folder, tmp_path):
     assert not again.fresh
 
 
-def test_large_files_are_put_together_on_the_disk(folder, tmp_path, monkeypatch):
+def test_files_are_put_together(folder, tmp_path):
     with_images = with_pictures(read(folder / "train.h5"))
     texts = {**with_images.parameters, "word": np.array(["grün"] * 18)}
     with_images = dataclasses.replace(with_images, parameters=texts)
@@ -225,13 +225,9 @@ def test_large_files_are_put_together_on_the_disk(folder, tmp_path, monkeypatch)
             parameters={key: value[rows] for key, value in texts.items()},
         )
         write(tmp_path / f"{name}.h5", part)
-    monkeypatch.setattr(writing, "_LARGE", 0)
     join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
     assert_equal(read(tmp_path / "joined.h5"), with_images)
     assert check(tmp_path / "joined.h5") == []
-    monkeypatch.setattr(writing.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 10})())
-    with pytest.raises(KeycldError, match="free some space"):
-        join([tmp_path / "0.h5"], tmp_path / "other.h5")
 
 
 def test_bad_values_are_found_in_the_rows_that_are_read(folder, tmp_path):

@@ -11,7 +11,6 @@ from sample import assert_equal, sample
 
 from keycld import KeycldError
 from keycld.data import read, write
-from keycld.data.format import writing
 from keycld.data.format.writing import join
 
 
@@ -74,8 +73,7 @@ def test_joined_parts_are_the_whole(tmp_path):
     assert read(tmp_path / "joined.h5").attributes == read(tmp_path / "0.h5").attributes
 
 
-@pytest.mark.parametrize("large", [False, True])
-def test_joined_undriven_parts(tmp_path, monkeypatch, large):
+def test_joined_undriven_parts(tmp_path):
     undriven = dataclasses.replace(sample(4), input=np.zeros((4, 0), np.float32))
     half = dataclasses.replace(
         undriven,
@@ -84,8 +82,6 @@ def test_joined_undriven_parts(tmp_path, monkeypatch, large):
     )
     write(tmp_path / "0.h5", undriven)
     write(tmp_path / "1.h5", half)
-    if large:
-        monkeypatch.setattr(writing, "_LARGE", 0)
     join([tmp_path / "0.h5", tmp_path / "1.h5"], tmp_path / "joined.h5")
     joined = read(tmp_path / "joined.h5")
     assert joined.input.shape == (6, 0)

@@ -23,3 +23,11 @@ def test_drift_is_relative_to_the_energy_that_moves():
 
 def test_constraint_drift_takes_the_largest_of_each_roll_out():
     assert constraint_drift(np.array([[0.0, 0.1], [0.3, 0.0]])) == {"mean": pytest.approx(0.2), "worst": 0.3}
+
+
+def test_a_kinetic_energy_that_is_negative_scales_by_its_size():
+    """As a learned T may be: the drift stays a share of the energy that moves."""
+    kinetic = np.array([[-2.0, -1.0, -2.0]])
+    scores, drift = energy_drift(kinetic, np.array([[2.0, 1.0, 2.2]]))
+    assert scores["scale"] == 2.0
+    np.testing.assert_allclose(drift, [[0.0, 0.0, 0.1]], atol=1e-12)

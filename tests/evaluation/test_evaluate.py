@@ -164,7 +164,7 @@ def test_results_survive_the_disk(data, shared, known, tmp_path):
     assert again.scores["vpt"] == json.loads(json.dumps(result.scores["vpt"]))
     for name, value in result.arrays.items():
         np.testing.assert_array_equal(again.arrays[name], value)
-    assert {p.name for p in path.parent.iterdir()} == {"test@20.json", "test@20.npz"}
+    assert {p.name for p in path.parent.iterdir()} == {".lock", "test@20.json", "test@20.npz"}
 
 
 def test_results_of_version_0_1_can_still_be_read(data, shared, tmp_path):

@@ -269,7 +269,7 @@ def test_toml_files_that_cannot_be_read(tmp_path):
     with pytest.raises(KeycldError, match="there is no constraints file"):
         load_constraints(tmp_path / "none.toml")
     (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(KeycldError, match="cannot be read as text"):
+    with pytest.raises(KeycldError, match="is not UTF-8 text"):
         load_constraints(tmp_path / "binary.toml")
-    with pytest.raises(KeycldError, match="cannot be read"):
+    with pytest.raises(KeycldError, match="cannot read"):
         load_constraints(tmp_path)

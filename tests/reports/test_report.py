@@ -129,5 +129,5 @@ def test_what_is_no_run_folder_is_refused(tmp_path):
     with pytest.raises(KeycldError, match="no config.json"):
         write_report(tmp_path)
     (tmp_path / "config.json").write_text("{")
-    with pytest.raises(KeycldError, match="not valid JSON"):
+    with pytest.raises(KeycldError, match="is damaged"):
         write_report(tmp_path)

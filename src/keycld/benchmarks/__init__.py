@@ -16,6 +16,9 @@ from keycld.benchmarks.run_figures import grid_pictures as grid_pictures
 from keycld.benchmarks.run_figures import observation_sheet as observation_sheet
 from keycld.benchmarks.run_figures import potential_figures as potential_figures
 from keycld.benchmarks.running import run_experiments as run_experiments
+from keycld.benchmarks.scoreboard import Board as Board
+from keycld.benchmarks.scoreboard import average_ranks as average_ranks
+from keycld.benchmarks.scoreboard import boards as boards
 from keycld.benchmarks.status import Status as Status
 from keycld.benchmarks.status import count_states as count_states
 from keycld.benchmarks.status import status_of as status_of
@@ -33,12 +36,13 @@ from keycld.benchmarks.table import as_text as as_text
 from keycld.benchmarks.table import done_results as done_results
 from keycld.benchmarks.table import over_seeds as over_seeds
 from keycld.benchmarks.table import provenance as provenance
-from keycld.benchmarks.table import tables as tables
+from keycld.benchmarks.tables import tables as tables
 
 __all__ = [
     "MODEL_TITLES",
     "model_title",
     "SUITES",
+    "Board",
     "DataRecipe",
     "Experiment",
     "Illustration",
@@ -50,6 +54,8 @@ __all__ = [
     "Suite",
     "Table",
     "as_csv",
+    "average_ranks",
+    "boards",
     "as_markdown",
     "as_text",
     "control_strip",

@@ -11,9 +11,12 @@ import time
 import traceback
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TypedDict
 
-from keycld._files import aside_of
+from keycld._files import aside_of, discard_partial
 from keycld._lock import locked
+from keycld._records import Name
+from keycld._signals import end_on_signals
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import condense, read_json, record_failure, write_json
 from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
@@ -55,13 +58,16 @@ def _attempt(experiment: Experiment, place: Place) -> int:
         write_json(place.result(experiment), condense(experiment, place, notes.seconds))
         place.failure(experiment).unlink(missing_ok=True)
         return DONE
-    except KeyboardInterrupt:
-        return INTERRUPTED
     except Exception as error:
         traceback.print_exc()
         sentence = (str(error).strip().splitlines() or ["no message"])[0]
         record_failure(experiment, place, stage, type(error).__name__, sentence)
         return FAILED
+
+
+class _Note(TypedDict):
+    config_hash: Name
+    seconds: dict[str, float]
 
 
 class _Notes:
@@ -71,7 +77,7 @@ class _Notes:
         """Read the notes; a run folder of another configuration is moved aside, so that nothing is deleted."""
         self._path = place.run(experiment) / _NOTES
         self._hash = experiment.hash()
-        found = read_json(self._path)
+        found = read_json(self._path, _Note)
         if found is None or found["config_hash"] != self._hash:
             _set_aside(place.run(experiment), "" if found is None else found["config_hash"])
             found = {"config_hash": self._hash, "seconds": {}}
@@ -143,8 +149,11 @@ def _exit_with(parent: int) -> None:
     """Exit when `bench run` has been killed, so that the next one finds no process of the old one."""
     while os.getppid() == parent:
         time.sleep(0.2)
+    discard_partial()
     os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":
+    # `bench run`, which the same interrupt reaches, says so.
+    end_on_signals(quiet=True)
     sys.exit(main(sys.argv[1:]))

@@ -19,15 +19,18 @@ class DataRecipe:
 
     Attributes:
         system: name of the system.
-        protocol: `"keycld-2022"` (arXiv v1), `"keycld-2024"` (journal version) or `"zoo"`.
+        protocol: `"keycld-2022"` (arXiv v1), `"keycld-2024"` (journal version), `"zoo"`, or `"priors"`: the one that
+            the set of "Which priors matter?" has by default.
         control: which inputs act: none, under or full; by default as in the protocol.
         initial_state: how runs begin; by default as in the protocol.
+        runs: numbers of trajectories by split, where they are not the default ones.
     """
 
     system: str
     protocol: str = "keycld-2022"
     control: str | None = None
     initial_state: str | None = None
+    runs: tuple[tuple[str, int], ...] = ()
 
     @property
     def label(self) -> str:
@@ -37,17 +40,20 @@ class DataRecipe:
     @property
     def folder(self) -> str:
         """Name of the folder under `data/`; that of arXiv v1 is the same as for `keycld data make`."""
-        year = "" if self.protocol in ("keycld-2022", "zoo") else f"-{self.protocol.removeprefix('keycld-')}"
-        return self.label.replace(self.system, self.system + year, 1)
+        usual = self.protocol in ("keycld-2022", "zoo", "priors")
+        year = "" if usual else f"-{self.protocol.removeprefix('keycld-')}"
+        size = "".join(f"-{number}" for _, number in self.runs)
+        return self.label.replace(self.system, self.system + year, 1) + size
 
     def make(self, folder: Path) -> None:
         """Make all data in `folder`; finished data stay as they are, interrupted work is resumed."""
         make_data(
             self.system,
             folder,
-            protocol=self.protocol,
+            protocol=None if self.protocol == "priors" else self.protocol,
             control=self.control,
             initial_state=self.initial_state,
+            runs=dict(self.runs),
             all=True,
         )
 
@@ -95,13 +101,16 @@ class Experiment:
 
     def hash(self) -> str:
         """Return the hash of all that determines the outcome: model, preset, all settings, seed, data recipe."""
-        config = self.config()
+        config, data = self.config(), dataclasses.asdict(self.data)
+        if not self.data.runs:
+            # Results from before there were numbers of trajectories are of the default ones.
+            del data["runs"]
         decides = {
             "model": config.model,
             "preset": config.preset,
             "settings": config.settings(),
             "seed": self.seed,
-            "data": dataclasses.asdict(self.data),
+            "data": data,
         }
         return digest(decides)
 
@@ -114,7 +123,8 @@ class Experiment:
         """Return the experiment of a text that `to_json` wrote."""
         fields = json.loads(text)
         protocols = tuple(Protocol(**{**each, "thresholds": tuple(each["thresholds"])}) for each in fields["protocols"])
-        return cls(**{**fields, "data": DataRecipe(**fields["data"]), "protocols": protocols})
+        runs = tuple((split, number) for split, number in fields["data"]["runs"])
+        return cls(**{**fields, "data": DataRecipe(**{**fields["data"], "runs": runs}), "protocols": protocols})
 
 
 @dataclass(frozen=True)

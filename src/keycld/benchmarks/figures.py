@@ -30,7 +30,8 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
     Returns:
         the figure, None if there is no result.
     """
-    results = done_results(experiments, place)
+    # A model that cannot run backward has no such score.
+    results = [each for each in done_results(experiments, place) if protocol.name in each[1]["curves"]]
     labels = [label for label in data_labels(experiments) if any(each.data.label == label for each, _ in results)]
     if not labels:
         return None

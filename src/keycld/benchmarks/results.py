@@ -4,17 +4,83 @@ import json
 import re
 import time
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
+from keycld import _records
 from keycld._errors import KeycldError
 from keycld._files import write_text
+from keycld._records import read_lines
 from keycld.benchmarks.experiment import Experiment, Place, digest
+from keycld.data import read_statistics
 from keycld.evaluation import Evaluation, load_evaluation
 from keycld.training import environment
 
 _CURVE_POINTS = 50
+
+
+class Failure(TypedDict):
+    """What `record_failure` writes."""
+
+    config_hash: str
+    during: str
+    kind: str
+    sentence: str
+
+
+class _Vpt(TypedDict):
+    mean: float
+
+
+class _Scores(TypedDict):
+    vpt: dict[str, _Vpt]
+    epsilon: float
+    table_units: NotRequired[dict[str, float | None]]
+    baselines: dict[str, dict[str, float | dict[str, float | None]]]
+
+
+class _Curve(TypedDict):
+    frame: list[int]
+    mean: list[float]
+    low: list[float]
+    high: list[float]
+
+
+class _Cost(TypedDict):
+    seconds: float
+    cpu_seconds: float
+    frames: int
+
+
+class _Settings(TypedDict):
+    settings: dict[str, Any]
+
+
+class _Machine(TypedDict):
+    processor: str
+    cores: int | None
+
+
+class _Environment(_Machine):
+    commit: str | None
+    devices: list[str]
+    packages: dict[str, Any]
+    python: str
+
+
+class Result(TypedDict):
+    """What `condense` returns: the fields that tables and figures read."""
+
+    config_hash: str
+    command: str
+    commit: str | None
+    commit_scored: str | None
+    machine: _Machine
+    training: _Cost
+    seconds: dict[str, float]
+    scores: dict[str, _Scores]
+    curves: dict[str, _Curve]
 
 
 def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) -> dict[str, Any]:
@@ -30,10 +96,12 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         the error over time.
     """
     run, data = place.run(experiment), place.data(experiment)
-    config = json.loads((run / "config.json").read_text())
-    trained_in = json.loads((run / "environment.json").read_text())
-    last = json.loads((run / "metrics.jsonl").read_text().splitlines()[-1])
-    statistics = json.loads((data / "statistics.json").read_text())
+    config = read_json(run / "config.json", _Settings)
+    trained_in = read_json(run / "environment.json", _Environment)
+    statistics, lines = read_statistics(data), read_lines(run / "metrics.jsonl", _Cost)
+    if config is None or trained_in is None or statistics is None or not lines:
+        raise KeycldError(f"{run} or {data} lacks results of the training: train again.")
+    last = lines[-1]
     stored = {protocol.name: load_evaluation(run, protocol.name) for protocol in experiment.protocols}
     return {
         "experiment": experiment.name,
@@ -89,6 +157,7 @@ def _scores(scores: dict[str, Any]) -> dict[str, Any]:
         "epsilon": scores["epsilon"],
         "baselines": {
             name: {factor: vpt["mean"] for factor, vpt in each["vpt"].items()}
+            | ({"table_units": each["table_units"]} if "table_units" in each else {})
             for name, each in scores["baselines"].items()
         },
         **{name: scores[name] for name in known if name in scores},
@@ -128,18 +197,16 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, text + "\n")
 
 
-def read_json(path: Path) -> dict[str, Any] | None:
-    """Return the value that `write_json` wrote, or None if there is no such file.
+def read_json(path: Path, kind: Any) -> dict[str, Any] | None:
+    """Return the value that `write_json` wrote, of a type as `_records.checked` takes, or None without such a file.
 
     Raises:
         KeycldError: the file is damaged.
     """
     try:
-        return json.loads(path.read_text())
+        return _records.read_json(path, kind, "delete it and repeat the command that made it")
     except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        raise KeycldError(f"{path} is damaged ({error}): delete it and repeat the command that made it.") from error
 
 
 def record_failure(experiment: Experiment, place: Place, during: str, kind: str, sentence: str) -> None:

@@ -13,6 +13,7 @@ from typing import IO, Any
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import record_failure
 from keycld.benchmarks.status import LOG, Status, count_states, status_of
+from keycld.evaluation import headline_vpt
 
 # Exit codes of the process of an experiment.
 DONE, FAILED, TAKEN, INTERRUPTED = 0, 3, 75, 130
@@ -104,8 +105,9 @@ def _record_crash(experiment: Experiment, place: Place, code: int) -> None:
 def _outcome(experiment: Experiment, status: Status) -> str:
     if status.word != "done" or status.result is None:
         return f"{status.word}  {status.detail}"
-    vpt = status.result["scores"][experiment.protocols[0].name]["vpt"]["1"]["mean"]
-    return f"done  VPT {vpt:.3f} ({experiment.protocols[0].name})"
+    headline = experiment.protocols[0]
+    vpt = headline_vpt(status.result["scores"][headline.name])["mean"]
+    return f"done  VPT {vpt:.3f} ({headline.name})"
 
 
 def _note(costs: dict[str, list[float]], experiment: Experiment, status: Status) -> None:

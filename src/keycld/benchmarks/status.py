@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from keycld._errors import KeycldError
+from keycld._files import read_text
 from keycld._lock import holder
 from keycld.benchmarks.experiment import Experiment, Place
-from keycld.benchmarks.results import read_json
+from keycld.benchmarks.results import Failure, Result, read_json
+from keycld.evaluation import headline_vpt
 
 # Files of a run folder that are the bench's own.
 LOCK, LOG = "bench.lock", "bench.log"
@@ -35,7 +37,7 @@ def status_of(experiment: Experiment, place: Place) -> Status:
     """
     path = place.result(experiment)
     try:
-        result, damage = read_json(path), ""
+        result, damage = read_json(path, Result), ""
     except KeycldError as error:
         result, damage = None, str(error)
     now = experiment.hash()
@@ -47,7 +49,7 @@ def status_of(experiment: Experiment, place: Place) -> Status:
         if lock.silent > _SILENT_SECONDS:
             detail += f", without a sign of life for {_minutes(lock.silent)}"
         return Status("running", detail, result)
-    failure = read_json(place.failure(experiment))
+    failure = read_json(place.failure(experiment), Failure)
     if failure is not None and failure["config_hash"] == now:
         return Status("failed", f"{failure['kind']} during {failure['during']}: {failure['sentence']}", result)
     if result is not None:
@@ -55,7 +57,7 @@ def status_of(experiment: Experiment, place: Place) -> Status:
         return Status("stale", f"recorded for {changed}", result)
     pointer = place.run(experiment) / "checkpoints" / "latest"
     if pointer.exists():
-        return Status("missing", f"interrupted after {pointer.read_text().strip()}", None)
+        return Status("missing", f"interrupted after {read_text(pointer).strip()}", None)
     return Status("missing", damage, None)
 
 
@@ -68,7 +70,7 @@ def status_table(experiments: Sequence[Experiment], place: Place) -> str:
         status = status_of(experiment, place)
         shown = ""
         if status.word == "done" and status.result is not None:
-            vpt = status.result["scores"][headline]["vpt"]["1"]["mean"]
+            vpt = headline_vpt(status.result["scores"][experiment.protocols[0].name])["mean"]
             shown = f"{vpt:6.3f}{status.result['training']['seconds'] / 60.0:9.1f}"
         lines.append(f"{experiment.name:{width}}  {status.word:8}{shown:15}  {status.detail}".rstrip())
     return "\n".join(lines)
@@ -81,7 +83,11 @@ def count_states(experiments: Sequence[Experiment], place: Place) -> dict[str, i
 
 
 def _complete(result: dict[str, Any], experiment: Experiment) -> bool:
-    return all(protocol.name in result["scores"] for protocol in experiment.protocols)
+    return all(
+        set(map("{:g}".format, protocol.thresholds)) <= result["scores"].get(protocol.name, {"vpt": {}})["vpt"].keys()
+        and protocol.name in result["curves"]
+        for protocol in experiment.protocols
+    )
 
 
 def _minutes(seconds: float) -> str:

@@ -1,14 +1,17 @@
 """Suites of experiments by name."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from keycld._errors import KeycldError, unknown
 from keycld.benchmarks.experiment import DataRecipe, Experiment
-from keycld.evaluation import Protocol, protocol_named
+from keycld.benchmarks.published_priors import FORWARD, PRIORS_TITLES
+from keycld.evaluation import Protocol, protocol_named, with_given
+from keycld.models import ModelConfig
 from keycld.models import models as registered
-from keycld.systems import names
+from keycld.models.listing import is_reversible
+from keycld.systems import AbstractSampledSystem, get, names
 
 MODEL_TITLES = {"keycld": "KeyCLD", "keycld-nc": "KeyCLD-NC", "node2": "NODE2", "fc": "FC"}
 """Name and title of each model of the KeyCLD paper, in the order of its Table 1."""
@@ -19,8 +22,8 @@ _SCORED = ("test@50", "validation@50", "test_long@200", "test_long@500")
 
 
 def model_title(model: str) -> str:
-    """Return the title of a model of the KeyCLD paper, or the name of any other model."""
-    return MODEL_TITLES.get(model, model)
+    """Return the title of a model of one of the papers, or the name of any other model."""
+    return (MODEL_TITLES | PRIORS_TITLES).get(model, model)
 
 
 def model_order(models: Iterable[str]) -> list[str]:
@@ -40,6 +43,8 @@ class Suite:
         models: models by default.
         seeds: seeds by default.
         protocols: how the experiments are scored; the first gives the headline score.
+        fitting: whether a model gets as many frames as it needs, and protocols that it or the data cannot have are
+            left out. Otherwise such a model is refused.
     """
 
     name: str
@@ -48,6 +53,7 @@ class Suite:
     models: tuple[str, ...]
     seeds: tuple[int, ...]
     protocols: tuple[Protocol, ...]
+    fitting: bool = False
 
     def select(
         self,
@@ -86,7 +92,9 @@ class Suite:
         ]
         # Raises now if a preset or a setting does not exist or does not fit.
         needed, least = found[0].config().context, min(protocol.given for protocol in self.protocols)
-        if needed > least:
+        if self.fitting:
+            found = [replace(each, protocols=_fitting(each.data, each.config(), self.protocols)) for each in found]
+        elif needed > least:
             raise KeycldError(
                 f"preset '{preset}' predicts from {needed} frames, but the suite {self.name} gives {least}: take the "
                 "suite keycld-2024."
@@ -95,6 +103,26 @@ class Suite:
         if not fitting:
             raise unknown("experiment", only, [experiment.name for experiment in found])
         return fitting
+
+
+def _fitting(data: DataRecipe, config: ModelConfig, protocols: tuple[Protocol, ...]) -> tuple[Protocol, ...]:
+    """Return the protocols that a model and a data set can have, with as many given frames as the model needs."""
+    system = get(data.system)
+    long = not isinstance(system, AbstractSampledSystem) or "test_long" in system.counts["default"]
+    both_ways = is_reversible(config)
+    return tuple(
+        with_given(each, max(each.given, config.context))
+        for each in protocols
+        if (both_ways or not each.backward) and (long or each.split != "test_long")
+    )
+
+
+def _priors_data() -> tuple[DataRecipe, ...]:
+    """Return the sets of the second paper with 2,000 trajectories; of molecules 70 share a simulation."""
+    return tuple(
+        DataRecipe(system, "priors", runs=(("train", 2100 if system.startswith("md/") else 2000), ("test", 200)))
+        for system in FORWARD
+    )
 
 
 SUITES = {
@@ -129,6 +157,25 @@ SUITES = {
             models=("keycld",),
             seeds=(0, 1, 2),
             protocols=tuple(protocol_named(name) for name in _SCORED[:3]),
+        ),
+        Suite(
+            name="priors",
+            title="the models of “Which priors matter?” on its 17 data sets, five given frames",
+            data=_priors_data(),
+            models=tuple(PRIORS_TITLES),
+            seeds=(0,),
+            protocols=tuple(
+                protocol_named(name)
+                for name in (
+                    "test@256-priors",
+                    "test@256-priors-backward",
+                    "test@124-priors",
+                    "test@256-priors-of-200",
+                    "test@256-priors-of-200-backward",
+                    "test_long@1000-priors",
+                )
+            ),
+            fitting=True,
         ),
     )
 }

@@ -27,11 +27,12 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row of a table; `kind` is `ours`, `trivial` or `paper`."""
+    """A row of a table; `kind` is `ours`, `trivial` or `paper`; `note` stands after the last cell."""
 
     name: str
     kind: str
     cells: tuple[Cell | None, ...]
+    note: str = ""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ def over_seeds(values: Sequence[float]) -> Cell:
     return Cell(mean, spread, n)
 
 
-def tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
+def seed_tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
     """Return one table for each protocol and threshold, and one of the training times.
 
     Stale results are left out (`status_of`).
@@ -164,16 +165,18 @@ def as_text(table: Table) -> str:
     widths = [max(len(text) for text in column) for column in zip(table.columns, *cells, strict=True)]
     lines = [table.title, " " * first + "".join(f"   {c:>{w}}" for c, w in zip(table.columns, widths, strict=True))]
     for row, texts in zip(table.rows, cells, strict=True):
-        lines.append(f"{row.name:{first}}" + "".join(f"   {c:>{w}}" for c, w in zip(texts, widths, strict=True)))
+        shown = "".join(f"   {c:>{w}}" for c, w in zip(texts, widths, strict=True))
+        lines.append(f"{row.name:{first}}{shown}   {row.note}".rstrip())
     return "\n".join(lines)
 
 
 def as_markdown(table: Table) -> str:
     """Return a table for a page."""
-    lines = [f"**{table.name}**: {table.title}.", "", f"| | {' | '.join(table.columns)} |"]
-    lines.append("|---" * (1 + len(table.columns)) + "|")
+    noted = any(row.note for row in table.rows)
+    columns = (*table.columns, *([""] if noted else []))
+    lines = [f"**{table.name}**: {table.title}.", "", f"| | {' | '.join(columns)} |", "|---" * (1 + len(columns)) + "|"]
     for row in table.rows:
-        lines.append(f"| {row.name} | {' | '.join(table.texts(row))} |")
+        lines.append(f"| {row.name} | {' | '.join([*table.texts(row), *([row.note] if noted else [])])} |")
     return "\n".join(lines) + "\n"
 
 

@@ -17,10 +17,11 @@ class Selection:
     """Which experiments, and the folders that they use.
 
     Args:
-        suite: keycld (three systems, four models, two given frames) or keycld-2024 (eight configurations, three).
+        suite: keycld (three systems, four models, two given frames), keycld-2024 (eight configurations, three), zoo
+            (twelve mechanisms) or priors (17 sets, seven models, five given frames).
         only: Experiments with this text in their name, such as acrobot-node2.
         seeds: Such as 0,1,2; by default the suite's.
-        systems: Such as pendulum,acrobot; by default all.
+        systems: Such as pendulum,acrobot or toy/mass_spring; by default all.
         models: Such as keycld,node2; by default the suite's. `keycld models` lists all.
         preset: Preset of the training.
         set: Settings of the preset to change, such as vision.steps=500. The results get a folder of their own.
@@ -127,10 +128,12 @@ def report(selection: Chosen, *, out: Path | None = None) -> None:
         selection: Which experiments.
         out: Folder of report.html and its media/; by default ROOT/runs/SUITE/PRESET.
     """
-    from keycld.reports import write_suite_report
+    from keycld.benchmarks import suite_named
+    from keycld.reports import write_priors_report, write_suite_report
 
     experiments, place = selection.experiments(), selection.place()
-    print(f"report: {write_suite_report(experiments, place, out or place.group(experiments[0]))}")
+    write = write_priors_report if suite_named(selection.suite).fitting else write_suite_report
+    print(f"report: {write(experiments, place, out or place.group(experiments[0]))}")
 
 
 def _counts(experiments: "tuple[Experiment, ...]", place: "Place") -> str:

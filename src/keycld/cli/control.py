@@ -125,13 +125,12 @@ def control(
 
 
 def _picture(path: Path) -> Any:
-    import imageio.v3
+    from keycld.drawing import load_image
 
     try:
-        picture = imageio.v3.imread(path)
-    except (OSError, ValueError) as error:
-        raise KeycldError(f"--goal takes upright or a picture; '{path}' cannot be read ({error}).") from None
-    return picture[..., :3] if picture.ndim == 3 else picture
+        return load_image(path)
+    except FileNotFoundError:
+        raise KeycldError(f"--goal takes upright or a picture; there is no file '{path}'.") from None
 
 
 def _name(goal: str, config: Any) -> str:

@@ -2,6 +2,7 @@
 
 import os
 import sys
+import traceback
 import warnings
 from collections.abc import Callable, Sequence
 
@@ -11,6 +12,7 @@ from keycld._compile_cache import SWITCH, use_compile_cache
 from keycld._errors import KeycldError, unknown
 from keycld._version import __version__
 from keycld.cli import bench, control, data, demo, evaluate, info, models, predict, report, train
+from keycld.cli.start import entry, say, unforeseen
 
 
 def data_sets() -> None:
@@ -57,14 +59,17 @@ DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving system fro
 `keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints.
 
 Compiled programs are kept in the user's cache folder (`keycld info` shows it). Without them: `--no-compile-cache` with
-any verb, or the environment variable {SWITCH}=off."""
+any verb, or the environment variable {SWITCH}=off. `--debug` with any verb shows where an error came from."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one verb and return the exit code: 0, 2 for an error that the user can fix, 130 when interrupted."""
+    """Run one verb and return the exit code: 0, 2 after one sentence about an error, 130 when interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     # By default JAX reserves three quarters of a GPU's memory at its first use; a renderer needs some of it.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+    debug = "--debug" in words
+    if debug:
+        words.remove("--debug")
     if "--no-compile-cache" in words:
         words.remove("--no-compile-cache")
         os.environ[SWITCH] = "off"
@@ -85,24 +90,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
             verbs = {**verbs, "train": train.with_settings(words)}
         tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=description, args=words or ["--help"])
     except KeycldError as error:
-        print(f"keycld: {error}", file=sys.stderr)
+        if debug:
+            traceback.print_exc()
+        say(f"keycld: {error}")
         return 2
     except BrokenPipeError:
         # The reader, such as `head`, has closed the pipe. Without this, Python's own flush at the end fails too.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:
-        print(f"keycld: {error}", file=sys.stderr)
-        return 2
     except KeyboardInterrupt:
-        print("\nkeycld: interrupted; the same command continues.", file=sys.stderr)
+        say("keycld: interrupted; the same command continues.")
         return 130
+    except MemoryError:
+        say("keycld: there is not enough memory: close other programs, or use smaller data or fewer recordings.")
+        return 2
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            say(f"keycld: {error.filename}: {error.strerror}: check the path and its permissions.")
+        else:
+            say(f"keycld: {unforeseen(error, debug=debug)}")
+        return 2
     return 0
-
-
-def entry() -> None:
-    """Run the installed command `keycld`."""
-    sys.exit(main())
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ def register_environments() -> None:
     try:
         import gymnasium as gymnasium
     except ModuleNotFoundError as error:
-        raise KeycldError("environments need Gymnasium: install it with pip install gymnasium.") from error
+        raise KeycldError("environments need Gymnasium: install it with pip install 'keycld[envs]'.") from error
     from keycld.control.environments import register
 
     register()

@@ -8,9 +8,10 @@ from keycld.data.describe.statistics import image_statistics as image_statistics
 from keycld.data.format.check import check as check
 from keycld.data.format.derived import with_derivative as with_derivative
 from keycld.data.format.derived import with_pictures as with_pictures
+from keycld.data.format.folder import read_statistics as read_statistics
 from keycld.data.format.folder import sha256 as sha256
 from keycld.data.format.folder import unfinished as unfinished
-from keycld.data.format.reading import open_file as open_file
+from keycld.data.format.hdf5 import open_file as open_file
 from keycld.data.format.reading import read as read
 from keycld.data.format.trajectories import Trajectories as Trajectories
 from keycld.data.format.writing import write as write

@@ -8,6 +8,7 @@ from keycld.drawing.curves import histogram_figure as histogram_figure
 from keycld.drawing.curves import map_figure as map_figure
 from keycld.drawing.curves import panels_figure as panels_figure
 from keycld.drawing.curves import strip_figure as strip_figure
+from keycld.drawing.files import load_image as load_image
 from keycld.drawing.files import save_figure as save_figure
 from keycld.drawing.files import save_image as save_image
 from keycld.drawing.files import save_movie as save_movie

@@ -1,24 +1,49 @@
-"""Write pictures, figures and movies; each file is replaced as a whole."""
+"""Write pictures, figures and movies, each file as a whole, and read pictures."""
 
-import contextlib
+import io
+import subprocess
 from pathlib import Path
-from typing import Any
 
 import imageio.v3
-import imageio_ffmpeg
 import numpy as np
 from jaxtyping import Shaped, UInt8
 from matplotlib.figure import Figure
+from PIL import Image, UnidentifiedImageError
 
 from keycld._errors import KeycldError
-from keycld._files import replacing
+from keycld._ffmpeg import FfmpegError, ffmpeg
+from keycld._files import read_bytes, replacing, writing_error
 from keycld.drawing.frames import as_uint8, enlarge
+
+# Of a frame of a movie, after enlargement.
+_LONGEST_SIDE = 8192
+# Of a picture to read: 64 MB of pixels.
+_MOST_PIXELS = 2**24
 
 
 def save_image(path: str | Path, frame: Shaped[np.ndarray, "H W 3"]) -> None:
     """Write one frame, uint8 or float in [0, 1], in the format of the suffix (.png)."""
     with replacing(path) as temporary:
         imageio.v3.imwrite(temporary, as_uint8(frame))
+
+
+def load_image(source: Path | bytes) -> UInt8[np.ndarray, "H W 3"]:
+    """Read a PNG or JPEG picture from a file or from its contents; its claimed size is checked before its pixels are.
+
+    Raises:
+        FileNotFoundError: there is no such file.
+        KeycldError: it is no such picture, or is larger than 16 million pixels.
+    """
+    what = "the picture" if isinstance(source, bytes) else f"the picture {source}"
+    contents = source if isinstance(source, bytes) else read_bytes(source)
+    try:
+        with Image.open(io.BytesIO(contents), formats=("PNG", "JPEG")) as picture:
+            if picture.width * picture.height <= _MOST_PIXELS:
+                return np.asarray(picture.convert("RGB"))
+            size = f"{picture.width} × {picture.height}"
+    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise KeycldError(f"{what} cannot be read ({error}): save it again as PNG.") from error
+    raise KeycldError(f"{what} has {size} pixels, more than {_MOST_PIXELS:,}: make it smaller.")
 
 
 def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: float | int = 25, scale: int = 4) -> None:
@@ -38,36 +63,31 @@ def save_movie(path: str | Path, frames: UInt8[np.ndarray, "T H W 3"], fps: floa
         raise KeycldError(f"a movie ends in .mp4 or .gif, not in '{suffix}' ('{path}').")
     if len(frames) == 0:
         raise KeycldError(f"a movie needs at least one frame; '{path}' got none.")
-    common: dict[str, Any] = {"fps": fps, "quality": None, "macro_block_size": 1, "ffmpeg_log_level": "error"}
-    large = _even(enlarge(frames[0], scale)).shape
-    with replacing(path) as temporary:
-        writer = imageio_ffmpeg.write_frames(
-            temporary,
-            (large[1], large[0]),
-            **common,
-            **(_GIF if suffix == ".gif" else _MP4),
+    height, width = frames[0].shape[:2]
+    if scale < 1 or scale * max(height, width) > _LONGEST_SIDE:
+        raise KeycldError(
+            f"frames of {width} × {height} pixels enlarged {scale} times are not between 1 and {_LONGEST_SIDE} pixels "
+            "on a side: choose another scale."
         )
-        with contextlib.closing(writer):
-            writer.send(None)
-            for frame in frames:
-                writer.send(np.ascontiguousarray(_even(enlarge(frame, scale))))
+    height, width, _ = _even(enlarge(frames[0], scale)).shape
+    source = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-framerate", f"{fps:.6f}", "-i", "-"]
+    with replacing(path) as temporary:
+        options = _GIF if suffix == ".gif" else _MP4
+        try:
+            with ffmpeg("-v", "error", *source, *options, f"file:{temporary}", source=subprocess.PIPE) as process:
+                for frame in frames:
+                    process.write(np.ascontiguousarray(_even(enlarge(frame, scale))).data)
+        except FfmpegError as error:
+            raise writing_error(Path(path), OSError(str(error))) from error
 
 
 # One palette for the whole movie: one for each frame flickers, a standard one has too few of the right colours.
-_GIF: dict[str, Any] = {
-    "codec": "gif",
-    "pix_fmt_out": "pal8",
-    "output_params": [
-        "-filter_complex",
-        "split[a][b];[a]palettegen=stats_mode=full[p];[b][p]paletteuse=dither=none",
-    ],
-}
+_GIF = (
+    "-filter_complex", "split[a][b];[a]palettegen=stats_mode=full[p];[b][p]paletteuse=dither=none",
+    "-c:v", "gif", "-pix_fmt", "pal8",
+)  # fmt: skip
 # crf 18 is visually lossless; faststart lets a browser play before the file is complete.
-_MP4: dict[str, Any] = {
-    "codec": "libx264",
-    "pix_fmt_out": "yuv420p",
-    "output_params": ["-crf", "18", "-preset", "medium", "-movflags", "+faststart"],
-}
+_MP4 = ("-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "18", "-preset", "medium", "-movflags", "+faststart")
 
 
 def _even(frame: np.ndarray) -> np.ndarray:

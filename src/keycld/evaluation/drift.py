@@ -11,8 +11,8 @@ def energy_drift(
 ) -> tuple[dict[str, Any], Float[np.ndarray, "N T"]]:
     """Compute the relative change of T + V along roll-outs without input.
 
-    |E(t) − E(0)| / E*, where E* is the mean over roll-outs of the largest kinetic energy each reaches: the
-    energy that moves. V is known only up to a constant, so E itself cannot be the scale. Good values: below
+    |E(t) − E(0)| / E*, where E* is the mean over roll-outs of the largest |T| each reaches: the energy that moves. (A
+    learned T may be negative.) V is known only up to a constant, so E itself cannot be the scale. Good values: below
     1e-2 over 50 frames.
 
     Returns:
@@ -21,7 +21,7 @@ def energy_drift(
         drift: `[N, T]`.
     """
     energy = kinetic + potential
-    scale = float(np.mean(kinetic.max(axis=1)))
+    scale = float(np.mean(np.abs(kinetic).max(axis=1)))
     drift = np.abs(energy - energy[:, :1]) / max(scale, 1e-30)
     largest = drift.max(axis=1)
     return {"scale": scale, "mean": float(np.mean(largest)), "worst": float(np.max(largest))}, drift

@@ -1,11 +1,12 @@
 """Protocols by name: `test@50`, `test@256-priors-backward`, `test_long@50-from-30`.
 
-A name is `FILE@FRAMES[-priors][-given-N][-from-K][-backward]`:
+A name is `FILE@FRAMES[-priors][-given-N][-from-K][-of-M][-backward]`:
 
 - FILE.h5 is scored over windows of FRAMES frames;
 - `priors`: as in "Which priors matter?", else as in the KeyCLD paper;
 - `given-N`: N given frames instead of 5 (priors) or 2;
 - `from-K`: recordings are taken up at frame K;
+- `of-M`: the first M trajectories instead of 20 (priors) or all;
 - `backward`: the last frames are given.
 """
 
@@ -21,8 +22,9 @@ from keycld.models.base import AbstractModel, Reversible
 if TYPE_CHECKING:
     from keycld.data import DataSet
 
-_NAME = re.compile(r"(\w+)@(\d+)(-priors)?(?:-given-(\d+))?(?:-from-(\d+))?(-backward)?", re.ASCII)
+_NAME = re.compile(r"(\w+)@(\d+)(-priors)?(?:-given-(\d+))?(?:-from-(\d+))?(?:-of-(\d+))?(-backward)?", re.ASCII)
 _KEYCLD_GIVEN, _PRIORS_GIVEN = 2, 5
+_PRIORS_TRAJECTORIES = 20
 
 
 def make_protocol(
@@ -32,6 +34,7 @@ def make_protocol(
     priors: bool = False,
     given: int | None = None,
     start: int = 0,
+    trajectories: int | None = None,
     backward: bool = False,
 ) -> Protocol:
     """Make a protocol of one of the two papers, under its standard name.
@@ -44,6 +47,7 @@ def make_protocol(
             frames of all trajectories.
         given: frames that the model gets; the paper's number by default.
         start: frame at which recordings are taken up.
+        trajectories: how many, the first of the file; the paper's number by default.
         backward: predict the past from the last frames.
 
     Raises:
@@ -51,16 +55,19 @@ def make_protocol(
     """
     usual = _PRIORS_GIVEN if priors else _KEYCLD_GIVEN
     given = usual if given is None else given
+    many = _PRIORS_TRAJECTORIES if priors else None
+    trajectories = many if trajectories is None else trajectories
     words = [
         "priors" if priors else "",
         f"given-{given}" if given != usual else "",
         f"from-{start}" if start else "",
+        f"of-{trajectories}" if trajectories != many else "",
         "backward" if backward else "",
     ]
     name = "-".join([f"{split}@{horizon}", *filter(None, words)])
     direction, shown = "backward" if backward else "forward", 6 if horizon <= 100 else 3
     if not priors:
-        return Protocol(name, split, horizon, given, start, direction=direction, shown=shown)
+        return Protocol(name, split, horizon, given, start, direction=direction, trajectories=trajectories, shown=shown)
     return Protocol(
         name,
         split,
@@ -71,7 +78,7 @@ def make_protocol(
         thresholds=(THRESHOLD,),
         scored_from=64,
         direction=direction,
-        trajectories=20,
+        trajectories=trajectories,
         shown=shown,
     )
 
@@ -120,13 +127,14 @@ def protocol_named(name: str) -> Protocol:
     found = _NAME.fullmatch(name)
     if found is None:
         raise unknown("protocol", name, PROTOCOLS)
-    split, horizon, priors, given, start, backward = found.groups()
+    split, horizon, priors, given, start, trajectories, backward = found.groups()
     return make_protocol(
         split,
         int(horizon),
         priors=priors is not None,
         given=None if given is None else int(given),
         start=int(start or 0),
+        trajectories=None if trajectories is None else int(trajectories),
         backward=backward is not None,
     )
 
@@ -161,5 +169,6 @@ def with_given(protocol: Protocol, given: int) -> Protocol:
         priors=protocol.metric == "normalised",
         given=given,
         start=protocol.start,
+        trajectories=protocol.trajectories,
         backward=protocol.backward,
     )

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from keycld._errors import KeycldError
-from keycld._files import replacing
 from keycld.data import open_file, read, with_pictures
+from keycld.data.format.hdf5 import create_file
 from keycld.data.generate.make import provide
 from keycld.evaluation.predicting import Progress, batch_size, predict, refuse_too_few
 from keycld.evaluation.reading import cut
@@ -62,7 +62,7 @@ def predict_file(
         raise KeycldError(f"this model cannot run backward, so the first given frame is 0, not {first}.")
     with open_file(data_file) as file:
         attributes = dict(file.attrs)
-    with replacing(out) as temporary, h5py.File(temporary, "w") as target:
+    with create_file(out) as target:
         target.attrs.update(attributes)
         target.attrs["given_frames"], target.attrs["first_given_frame"] = given, first
         target["time"], target["input"] = about.time, about.input

@@ -9,7 +9,10 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld._files import replacing, write_text
+from keycld._lock import alone
+from keycld._records import Unexpected, damaged, read_arrays, read_json
 from keycld.evaluation.evaluate import Evaluation
+from keycld.evaluation.stored import check_arrays, checked_scores, layout, required
 
 
 def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Path:
@@ -19,10 +22,11 @@ def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Pa
     is complete.
     """
     path = Path(folder) / "evaluation" / f"{name}.json"
-    with replacing(path.with_suffix(".npz")) as temporary:
-        np.savez_compressed(temporary, allow_pickle=False, **evaluation.arrays)
-        path.unlink(missing_ok=True)
-    write_text(path, as_json(evaluation.scores) + "\n")
+    with alone(path.parent, "stores results"):
+        with replacing(path.with_suffix(".npz")) as temporary:
+            np.savez_compressed(temporary, allow_pickle=False, **evaluation.arrays)
+            path.unlink(missing_ok=True)
+        write_text(path, as_json(evaluation.scores) + "\n")
     return path
 
 
@@ -32,15 +36,18 @@ def load_evaluation(folder: str | Path, name: str) -> Evaluation:
     Raises:
         KeycldError: it is missing or damaged.
     """
-    path = Path(folder) / "evaluation" / f"{name}.json"
+    path, fix = Path(folder) / "evaluation" / f"{name}.json", "run `keycld eval` again"
     try:
-        scores = json.loads(path.read_text())
-        with np.load(path.with_suffix(".npz"), allow_pickle=False) as archive:
-            return Evaluation(_migrated(scores), dict(archive))
+        scores = checked_scores(_migrated(read_json(path, dict[str, Any], fix)))
+        arrays = read_arrays(path.with_suffix(".npz"), layout(scores), fix)
+        if missing := required(scores) - arrays.keys():
+            raise Unexpected(f"the array '{min(missing)}' is missing")
+        check_arrays(scores, arrays)
     except FileNotFoundError as error:
         raise KeycldError(f"no result '{name}' in '{folder}': run `keycld eval` on this run first.") from error
-    except Exception as error:
-        raise KeycldError(f"the result '{path}' is damaged ({error}): run `keycld eval` again.") from error
+    except (KeyError, TypeError, ValueError) as error:
+        raise error if isinstance(error, KeycldError) else damaged(path, error, fix) from error
+    return Evaluation(scores, arrays)
 
 
 def as_json(scores: dict[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """The physics, without images: constraints, Lagrangian and Hamiltonian mechanics, integrators, energies."""
 
 from keycld.mechanics.adaptive import AdaptiveDynamics as AdaptiveDynamics
+from keycld.mechanics.adaptive import DormandPrince as DormandPrince
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
 from keycld.mechanics.constraints import Constraints as Constraints
@@ -49,6 +50,7 @@ from keycld.mechanics.integrators import Leapfrog as Leapfrog
 from keycld.mechanics.lagrangian import AbstractLagrangian as AbstractLagrangian
 from keycld.mechanics.lagrangian import AbstractLaw as AbstractLaw
 from keycld.mechanics.lagrangian import ConstrainedLagrangian as ConstrainedLagrangian
+from keycld.mechanics.linear import solve_definite as solve_definite
 from keycld.mechanics.linear import solve_positive as solve_positive
 from keycld.mechanics.masses import AbstractMassMatrix as AbstractMassMatrix
 from keycld.mechanics.masses import CoupledMasses as CoupledMasses
@@ -84,6 +86,7 @@ from keycld.mechanics.state import State as State
 from keycld.mechanics.symplectic import Composition as Composition
 
 __all__ = [
+    "DormandPrince",
     "AbstractConstraint",
     "AbstractDisplacement",
     "AbstractDissipationTerm",
@@ -158,6 +161,7 @@ __all__ = [
     "regress_forces",
     "rigid_body",
     "rough_states",
+    "solve_definite",
     "solve_positive",
     "term_kinds",
     "terms_of",

@@ -1,5 +1,7 @@
 """Adaptive roll-outs by Diffrax, as in the paper's evaluation (appendix A.9)."""
 
+from collections.abc import Callable
+
 import diffrax
 import equinox as eqx
 import jax
@@ -7,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from keycld.mechanics.dynamics import AbstractMechanicalDynamics
-from keycld.mechanics.integrators import frame_inputs, stack_first
+from keycld.mechanics.integrators import AbstractIntegrator, Parameters, frame_inputs, stack_first
 from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian
 from keycld.mechanics.state import AbstractField, Motion, Scalar, State
 
@@ -54,23 +56,62 @@ def adaptive_rollout(
         return law.derivative(coordinates, u, parameters)
 
     def frame(coordinates, u):
-        solution = diffrax.diffeqsolve(
-            diffrax.ODETerm(field),
-            diffrax.Dopri5(),
-            t0=0.0,
-            t1=dt,
-            dt0=None,
-            y0=coordinates,
-            args=u,
-            stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
-            throw=False,
-        )
-        arrived = solution.result == diffrax.RESULTS.successful
-        end = jax.tree.map(lambda y: jnp.where(arrived, y[-1], jnp.nan), solution.ys)
+        end = _across(field, coordinates, u, dt, rtol, atol)
         return end, end
 
     _, rest = jax.lax.scan(frame, state.coordinates, frame_inputs(u, dt, steps))
     return stack_first(state.coordinates, rest)
+
+
+def _across(field: Callable, coordinates: PyTree, u: Float[Array, "l"], dt: Scalar, rtol: float, atol: float) -> PyTree:
+    """Return the coordinates after one frame interval; NaN where the solver cannot follow."""
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(field),
+        diffrax.Dopri5(),
+        t0=0.0,
+        t1=dt,
+        dt0=None,
+        y0=coordinates,
+        args=u,
+        stepsize_controller=diffrax.PIDController(rtol=rtol, atol=atol),
+        throw=False,
+    )
+    arrived = solution.result == diffrax.RESULTS.successful
+    return jax.tree.map(lambda y: jnp.where(arrived, y[-1], jnp.nan), solution.ys)
+
+
+class DormandPrince(AbstractIntegrator):
+    """Dormand–Prince 5(4) with as many steps a frame as the tolerances ask for, for any `AbstractField`.
+
+    Where it cannot follow a motion, the rest of that motion is NaN. Its derivative is that of the steps taken, as
+    everywhere here; the adjoint equation is not solved.
+
+    Attributes:
+        rtol: relative tolerance of a step.
+        atol: absolute tolerance of a step. 1e-6 is about the best that float32 can do.
+        substeps: parts of a frame that are integrated one after the other; 1 is enough.
+    """
+
+    rtol: float = eqx.field(static=True, default=1e-6)
+    atol: float = eqx.field(static=True, default=1e-6)
+    substeps: int = eqx.field(static=True, default=1)
+
+    def initial_memory(self, field: AbstractField, coordinates: PyTree, parameters: Parameters, h: Scalar) -> None:
+        """Return None: each frame begins with a first step of its own."""
+
+    def advance(
+        self,
+        field: AbstractField,
+        coordinates: PyTree,
+        memory: None,
+        parameters: Parameters,
+        u: Float[Array, "l"],
+        h: Scalar,
+    ) -> tuple[PyTree, None]:
+        """Integrate over h."""
+        return _across(
+            lambda _, s, u: field.derivative(s, u, parameters), coordinates, u, h, self.rtol, self.atol
+        ), None
 
 
 class AdaptiveDynamics(AbstractMechanicalDynamics):

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError, unknown
+from keycld._files import read_text
 from keycld.mechanics.constraints import Constraints
 from keycld.mechanics.relation import AbstractRelation, relation_kinds, relation_of_kind
 
@@ -36,11 +37,9 @@ def load_constraints(path: str | Path) -> Constraints:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         raise KeycldError(f"there is no constraints file {path}: check the path.") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise KeycldError(f"the constraints file {path} cannot be read as text: {error}.") from None
     return parse_constraints(text, f"the constraints file {path}")
 
 
@@ -56,7 +55,7 @@ def parse_constraints(text: str, source: str) -> Constraints:
     """
     try:
         table = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:
         raise KeycldError(f"{source} is not valid TOML: {error}.") from None
     try:
         return _constraints(table)
@@ -86,7 +85,7 @@ def _constraints(table: dict[str, Any]) -> Constraints:
         if key not in ("keypoints", "constraint"):
             raise unknown("entry", key, ("keypoints", "constraint"))
     keypoints = table.get("keypoints")
-    if not isinstance(keypoints, list):
+    if not isinstance(keypoints, list) or len(keypoints) > 1000 or not all(isinstance(each, str) for each in keypoints):
         raise KeycldError('it needs the names of the keypoints, such as keypoints = ["cart", "tip"].')
     entries = table.get("constraint", [])
     if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):

@@ -25,11 +25,14 @@ class GeneralizedLagrangian(AbstractLagrangian):
         factor: L, a callable q [m] → [m, r]: lower triangular (`MLPFactor`), or any other factor of M.
         potential: V, a callable q → number.
         input_matrix: g, a callable q → [m, l]; None where there is no input.
+        solve: (M, f) → M⁻¹f. By default `solve_positive`, written out for a few coordinates; `solve_definite` is for
+            more than about eight.
     """
 
     factor: Callable
     potential: Callable
     input_matrix: Callable | None = None
+    solve: Callable = eqx.field(static=True, default=solve_positive)
 
     def mass_matrix(self, x: Float[Array, "m"]) -> Float[Array, "m m"]:
         """Return M(q) = L(q) L(q)ᵀ."""
@@ -56,7 +59,7 @@ class GeneralizedLagrangian(AbstractLagrangian):
         force = jax.grad(lambda q: self.kinetic_energy(q, v) - self.potential(q))(x) - times(matrix_rate, v)
         if self.input_matrix is not None:
             force = force + times(self.input_matrix(x), u)
-        return solve_positive(matrix, force)
+        return self.solve(matrix, force)
 
 
 class MLPFactor(eqx.Module):

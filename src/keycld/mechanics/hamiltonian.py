@@ -95,7 +95,7 @@ def to_hamiltonian(law: GeneralizedLagrangian) -> Hamiltonian:
 
 
 def _energy(law: GeneralizedLagrangian, q: Float[Array, "m"], p: Float[Array, "m"]) -> Float[Array, ""]:
-    return 0.5 * jnp.sum(p * solve_positive(law.mass_matrix(q), p)) + law.potential(q)
+    return 0.5 * jnp.sum(p * law.solve(law.mass_matrix(q), p)) + law.potential(q)
 
 
 class LegendreLaw(AbstractLagrangian):

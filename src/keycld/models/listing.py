@@ -5,7 +5,8 @@ from typing import Any
 import equinox as eqx
 import jax
 
-from keycld.models.base import capabilities
+from keycld.models.base import Reversible, capabilities
+from keycld.models.config import ModelConfig
 from keycld.models.registry import models
 from keycld.models.scene import Scene
 
@@ -39,3 +40,8 @@ def listing(scene: Scene = EXAMPLE) -> list[dict[str, Any]]:
             }
         )
     return rows
+
+
+def is_reversible(config: ModelConfig) -> bool:
+    """Return whether the model of a config runs backward too; it is built as shapes only."""
+    return isinstance(eqx.filter_eval_shape(config.completed().build, EXAMPLE, jax.random.key(0)), Reversible)

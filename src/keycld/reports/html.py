@@ -19,7 +19,7 @@ _TYPES = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
 
 def text(value: Any) -> str:
     """Return a value as text, escaped for HTML."""
-    return html.escape(str(value))
+    return html.escape("".join(c if c.isprintable() else " " for c in str(value)))
 
 
 def data_uri(path: Path) -> str:
@@ -59,7 +59,8 @@ def movie(path: Path, still: UInt8[np.ndarray, "H W 3"], fallback: Path | None, 
 
 def chart(figure: Figure, name: str) -> str:
     """Return a matplotlib figure as SVG in the colours and the font of the page."""
-    svg = re.sub(r"<metadata>.*?</metadata>\s*", "", figure_svg(figure, name), flags=re.S)
+    # The rules of its own style element are in style.css: the page allows no other.
+    svg = re.sub(r"<(metadata|style)\b.*?</\1>\s*", "", figure_svg(figure, name), flags=re.S)
     for role in ("text", "quiet", "line", "one", "two", "three", "four", "limit"):
         svg = svg.replace(getattr(INK, role), f"var(--{role})")
     # `font: 9px 'DejaVu Sans', …, sans-serif`: keep the size, replace the family.

@@ -2,9 +2,10 @@
 
 from pathlib import Path
 
+from keycld._lock import alone
 from keycld.reports import control_section, physics_sections, prediction_sections, run_sections
 from keycld.reports.page import write_page
-from keycld.reports.run import read_run
+from keycld.reports.run import Run, read_run
 
 _SECTIONS = (
     prediction_sections.trajectories,
@@ -32,8 +33,13 @@ def write_report(run_folder: str | Path) -> Path:
         KeycldError: it is not a run folder, a stored file is damaged, or the folder cannot be written.
     """
     run = read_run(run_folder)
+    with alone(Path(run_folder), "writes its report", ".report.lock"):
+        return _write(run, Path(run_folder))
+
+
+def _write(run: Run, folder: Path) -> Path:
     title = f"{run.config.get('system', 'run')} · KeyCLD"
     sections = "".join(section(run) for section in _SECTIONS)
     body = prediction_sections.head(run, sections) + sections
     footer = "Written by <b>keycld report</b> from the results in this run’s folder."
-    return write_page(Path(run_folder) / "report.html", title, body, footer)
+    return write_page(folder / "report.html", title, body, footer)

@@ -1,13 +1,13 @@
 """The stored results of a run folder; any of them may be missing."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import numpy as np
 
 from keycld._errors import KeycldError
+from keycld._records import read_json, read_lines
 from keycld.evaluation import Evaluation, load_evaluation
 
 
@@ -50,6 +50,14 @@ class Run:
         return [each for each in self.evaluations.values() if each.scores["protocol"]["horizon"] > least]
 
 
+class _Line(TypedDict):
+    step: int
+    stage: NotRequired[str]
+    seconds: NotRequired[float]
+    cpu_seconds: NotRequired[float]
+    frames: NotRequired[int]
+
+
 def read_run(folder: str | Path) -> Run:
     """Read a run folder.
 
@@ -67,7 +75,7 @@ def read_run(folder: str | Path) -> Run:
         folder=folder,
         config=_json(folder / "config.json"),
         environment=_json(folder / "environment.json"),
-        metrics=_lines(folder / "metrics.jsonl"),
+        metrics=read_lines(folder / "metrics.jsonl", _Line),
         evaluations=dict(sorted(scored.items(), key=lambda item: item[1].scores["protocol"]["horizon"])),
         sweeps=sweeps if sweeps else None,
         controls={name: result for name, result in results.items() if "law" in result.scores},
@@ -75,20 +83,7 @@ def read_run(folder: str | Path) -> Run:
 
 
 def _json(path: Path) -> dict[str, Any]:
-    if not path.exists():
-        return {}
     try:
-        return json.loads(path.read_text())
-    except ValueError as error:
-        raise KeycldError(f"'{path}' is not valid JSON ({error}): restore it or train again.") from error
-
-
-def _lines(path: Path) -> list[dict[str, Any]]:
-    """Return the complete lines of a file; a killed run may leave an incomplete one."""
-    found = []
-    for line in path.read_text().splitlines() if path.exists() else ():
-        try:
-            found.append(json.loads(line))
-        except ValueError:
-            continue
-    return found
+        return read_json(path, dict[str, Any], "restore it or train again")
+    except FileNotFoundError:
+        return {}

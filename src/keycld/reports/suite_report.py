@@ -53,14 +53,16 @@ def write_suite_report(experiments: Sequence[Experiment], place: Place, folder: 
         + _movies(made)
         + _learned(made)
         + _scores(found[1:])
-        + _experiments(experiments, place)
+        + experiments_section(experiments, place)
     )
-    body = _head(experiments, [result for _, result in results], found[0], sections) + sections
+    first = table_figure(found[0]) + html.paragraph(_HORIZON_NOTE, "note")
+    body = suite_head(experiments, [result for _, result in results], first, sections) + sections
     footer = f"Written by <b>keycld bench report {html.text(experiments[0].suite)}</b> from recorded results."
     return write_page(folder / "report.html", f"{experiments[0].suite} · benchmark", body, footer)
 
 
-def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], table: Table, sections: str) -> str:
+def suite_head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], first: str, sections: str) -> str:
+    """Return the head of the page: what was run, its first table, links to the sections."""
     suite = suite_named(experiments[0].suite)
     machines = dict.fromkeys(f"{r['machine']['processor']}, {r['machine']['cores']} cores" for r in results)
     hours = sum(result["training"]["seconds"] for result in results) / 3600.0
@@ -74,16 +76,18 @@ def _head(experiments: Sequence[Experiment], results: Sequence[dict[str, Any]], 
     return (
         f'<header><p class="eyebrow">benchmark</p><h1>{html.text(suite.name)}</h1>'
         f'<p class="lede">{html.text(suite.title)}.</p><p class="facts">{line}</p></header>'
-        f"{_table(table)}{html.paragraph(_HORIZON_NOTE, 'note')}{html.contents(sections)}"
+        f"{first}{html.contents(sections)}"
     )
 
 
-def _table(table: Table) -> str:
-    rows = []
+def table_figure(table: Table) -> str:
+    """Return a table of scores with its title below."""
+    rows, noted = [], any(row.note for row in table.rows)
     for row in table.rows:
         name = f"<b>{html.text(row.name)}</b>" if row.kind == "ours" else html.text(row.name)
-        rows.append([name, *table.texts(row)])
-    return html.figure(html.table(["", *map(html.text, table.columns)], rows, "scores"), html.text(table.title) + ".")
+        rows.append([name, *table.texts(row), *([html.text(row.note)] if noted else [])])
+    head = ["", *map(html.text, table.columns), *([""] if noted else [])]
+    return html.figure(html.table(head, rows, "scores"), html.text(table.title) + ".")
 
 
 def _errors(experiments: Sequence[Experiment], place: Place) -> str:
@@ -148,10 +152,11 @@ def _caption(made: Illustration) -> str:
 
 
 def _scores(found: Sequence[Table]) -> str:
-    return html.section("scores", "All scores", "".join(map(_table, found)))
+    return html.section("scores", "All scores", "".join(map(table_figure, found)))
 
 
-def _experiments(experiments: Sequence[Experiment], place: Place) -> str:
+def experiments_section(experiments: Sequence[Experiment], place: Place) -> str:
+    """Return the state of every experiment, and the commands of those that are done."""
     rows, commands = [], []
     for experiment in experiments:
         status = status_of(experiment, place)

@@ -48,6 +48,8 @@ class _Worker:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=environment,
+            # An interrupt at the keyboard reaches the parent alone, with which the worker ends.
+            process_group=0,
         )
         # Connection frames whole pickled objects and can wait with a time-out, which plain pipes cannot.
         stdin, stdout = self._process.stdin, self._process.stdout

@@ -31,8 +31,10 @@ def main() -> None:
             answer = function(*arguments)
         except KeycldError as error:
             answer = error
-        except Exception:
-            answer = RuntimeError(f"in a worker process:\n{traceback.format_exc()}")
+        except OSError as error:
+            answer = OSError(error.errno, error.strerror, error.filename)
+        except Exception as error:
+            answer = RuntimeError(f"{type(error).__name__} in a worker process: {error}\n{traceback.format_exc()}")
         try:
             answers.send(answer)
         except BrokenPipeError:

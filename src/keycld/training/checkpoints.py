@@ -1,23 +1,38 @@
 """Checkpoints that survive a killed process: written under a temporary name, fsynced, renamed; arrays by name."""
 
 import json
-import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 from safetensors import SafetensorError
-from safetensors.numpy import load_file, save_file
+from safetensors.numpy import load_file, save
 
 from keycld._errors import KeycldError
-from keycld._files import sync, write_text
+from keycld._files import checked_name, make_folder, read_text, replacing, write_text
+from keycld._records import Name, read_json
 
 WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
+
+
+class _Position(TypedDict):
+    stage: int
+    stages: int
+    name: str
+    step: int
+    done: bool
+    cached: int
+    changes: NotRequired[dict[str, Any]]
+    failures: NotRequired[list[str]]
+    seconds: float
+    cpu_seconds: float
+    frames: int
+    weights: NotRequired[Name]
 
 
 def save_checkpoint(
@@ -38,27 +53,22 @@ def save_checkpoint(
         KeycldError: the disk is full or the folder may not be written; the previous checkpoint is intact.
     """
     root = folder / "checkpoints"
-    temporary, final = root / f".{name}.partial", root / name
+    final = root / name
+    make_folder(root)
     try:
-        root.mkdir(parents=True, exist_ok=True)
-        shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir()
-        save_arrays(temporary / WEIGHTS, weights)
-        save_arrays(temporary / STATE, state)
-        write_text(temporary / "position.json", json.dumps(position, indent=1))
         # A killed process may have written the checkpoint of this step already; it holds the same bits.
-        if final.exists():
-            shutil.rmtree(temporary)
-        else:
-            os.replace(temporary, final)
-        sync(root)
+        if not final.exists():
+            with replacing(final) as temporary:
+                temporary.mkdir()
+                save_arrays(temporary / WEIGHTS, weights)
+                save_arrays(temporary / STATE, state)
+                write_text(temporary / "position.json", json.dumps(position, indent=1))
         write_text(root / "latest", name)
-    except (OSError, SafetensorError) as error:
-        raise KeycldError(
-            f"cannot write the checkpoint {final}: {error}; free some space or choose another --out. "
-            "The previous checkpoint is intact."
-        ) from error
-    others = sorted((p for p in root.iterdir() if p.is_dir() and p != final), key=lambda p: p.stat().st_mtime)
+    except KeycldError as error:
+        raise KeycldError(f"{error} The previous checkpoint is intact.") from error
+    # Hidden folders are what killed processes left.
+    visible = [path for path in root.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    others = sorted((path for path in visible if path != final), key=lambda path: path.stat().st_mtime)
     for old in others[: max(0, len(others) - keep + 1)]:
         shutil.rmtree(old, ignore_errors=True)
     return final
@@ -67,7 +77,10 @@ def save_checkpoint(
 def latest_checkpoint(folder: Path) -> Path | None:
     """Return the folder of the newest complete checkpoint of a run, or None."""
     pointer = folder / "checkpoints" / "latest"
-    return pointer.parent / pointer.read_text().strip() if pointer.exists() else None
+    try:
+        return pointer.parent / checked_name(read_text(pointer).strip(), pointer)
+    except FileNotFoundError:
+        return None
 
 
 def read_position(checkpoint: Path) -> dict[str, Any]:
@@ -76,10 +89,11 @@ def read_position(checkpoint: Path) -> dict[str, Any]:
     Raises:
         KeycldError: it is damaged.
     """
+    path = checkpoint / "position.json"
     try:
-        return json.loads((checkpoint / "position.json").read_text())
-    except (OSError, ValueError) as error:
-        raise KeycldError(f"checkpoint {checkpoint} is damaged ({error}); delete it and train again.") from error
+        return read_json(path, _Position, f"checkpoint {checkpoint.name} is lost, so train again into a new --out")
+    except FileNotFoundError:
+        raise KeycldError(f"{path} is missing: train again into a new --out.") from None
 
 
 def named_arrays(tree: PyTree) -> dict[str, np.ndarray]:
@@ -89,8 +103,9 @@ def named_arrays(tree: PyTree) -> dict[str, np.ndarray]:
 
 def save_arrays(path: Path, tree: PyTree) -> None:
     """Write all arrays of a pytree by name, and wait until they are on the disk."""
-    save_file({name: np.asarray(value, order="C") for name, value in named_arrays(tree).items()}, path)
-    sync(path)
+    contents = save({name: np.asarray(value, order="C") for name, value in named_arrays(tree).items()})
+    with replacing(path) as temporary:
+        temporary.write_bytes(contents)
 
 
 def load_arrays(

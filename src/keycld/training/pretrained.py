@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
-from keycld._files import aside_of
+from keycld._files import aside_of, copy_file
+from keycld._lock import alone
 from keycld.data import sha256
 from keycld.models.base import AbstractModel
 from keycld.training.checkpoints import (
@@ -71,7 +72,14 @@ def run_folder(run: str | Path) -> Path:
         if folder.name == str(run) and not folder.exists():
             raise unknown("run folder or trained model", str(run), pretrained())
         return folder
-    folder, weights = Path("runs") / f"{run}-pretrained", sha256(_SHELF / str(run) / WEIGHTS)
+    folder = Path("runs") / f"{run}-pretrained"
+    with alone(folder.parent, "unpacks a model", f".{folder.name}.lock"):
+        _unpack(str(run), folder)
+    return folder
+
+
+def _unpack(run: str, folder: Path) -> None:
+    weights = sha256(_SHELF / run / WEIGHTS)
     checkpoint = latest_checkpoint(folder)
     before = None if checkpoint is None else read_position(checkpoint).get("weights", "")
     if before != weights:
@@ -83,13 +91,12 @@ def run_folder(run: str | Path) -> Path:
             print(f"{folder} holds results of another version of the model {run}: moved to {aside}", file=sys.stderr)
         model, config = load_model(run)
         open_run(folder, config)
-        shutil.copy(_SHELF / str(run) / "metrics.jsonl", folder / "metrics.jsonl")
+        copy_file(_SHELF / run / "metrics.jsonl", folder / "metrics.jsonl")
         steps = json.loads((folder / "metrics.jsonl").read_text().splitlines()[-1])
         position = {"stage": 0, "stages": 1, "name": "packaged", "step": steps["step"], "done": True, "cached": 0}
         position["weights"] = weights
         position |= {name: steps[name] for name in ("seconds", "cpu_seconds", "frames")}
         save_checkpoint(folder, "00-packaged", model, {}, position)
-    return folder
 
 
 def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:

@@ -8,13 +8,19 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 from keycld._errors import KeycldError
-from keycld._files import write_text
-from keycld.models import ModelConfig, config_for
+from keycld._files import read_text, write_text, writing_error
+from keycld._records import checked, read_json
+from keycld.models import ModelConfig, Scene, config_for
 
 SCHEMA_VERSION = 4
+
+
+class _Verdict(TypedDict):
+    passed: bool
+    failures: list[str]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,7 +117,7 @@ def parse_config(path: Path) -> RunConfig:
         KeycldError: the file is missing, damaged or of a later version.
     """
     try:
-        saved = json.loads(path.read_text())
+        saved = checked(json.loads(read_text(path)), dict[str, Any])
         version = saved.get("schema_version", 1)
         if version > SCHEMA_VERSION:
             raise ValueError(f"schema_version {version} is later than {SCHEMA_VERSION}: use the keycld that wrote it")
@@ -121,14 +127,15 @@ def parse_config(path: Path) -> RunConfig:
             config = config_for(saved["model"], saved["preset"])
             settings = config.changed(config.migrated(saved["settings"], version)).settings()
             saved = {**saved, "settings": settings, "schema_version": SCHEMA_VERSION}
-        return RunConfig(**{**saved, "input_names": tuple(saved["input_names"])})
+        checked(saved["scene"], Scene, "scene")
+        return checked({**saved, "input_names": tuple(saved["input_names"])}, RunConfig)
     except FileNotFoundError:
         raise KeycldError(
             f"{path.parent} is not a run folder (no config.json); train one with `keycld train`."
         ) from None
     except KeycldError:
         raise
-    except (AttributeError, OSError, KeyError, TypeError, ValueError) as error:
+    except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise KeycldError(f"{path} is not a configuration of this version of keycld: {error}.") from error
 
 
@@ -170,9 +177,8 @@ def write_verdict(folder: Path, failures: list[str], *, passed: bool) -> None:
 def read_verdict(folder: Path) -> dict[str, Any] | None:
     """Return the verdict on a training, None while it is not finished or if it is damaged."""
     try:
-        found = json.loads((folder / "verdict.json").read_text())
-        return {"passed": bool(found["passed"]), "failures": [str(each) for each in found["failures"]]}
-    except (OSError, ValueError, KeyError, TypeError):
+        return read_json(folder / "verdict.json", _Verdict, "delete it")
+    except (FileNotFoundError, KeycldError):
         return None
 
 
@@ -180,7 +186,11 @@ def refuse_failed(folder: Path) -> None:
     """Raise KeycldError for a run whose training has failed: what it left is no model."""
     verdict = read_verdict(folder)
     if verdict is not None and not verdict["passed"]:
-        raise KeycldError(f"the training of {folder} has failed in stage {verdict['failures'][-1]}")
+        raise KeycldError(f"the training of {folder} has failed in stage {'; '.join(verdict['failures'][-1:])}")
+
+
+class _Line(TypedDict):
+    step: int
 
 
 class Metrics:
@@ -190,19 +200,21 @@ class Metrics:
         """Open the file and drop the lines after `step`, which the resumed run writes again."""
         self._path = folder / "metrics.jsonl"
         lines = []
-        if self._path.exists():
-            for line in self._path.read_text().splitlines():
-                try:
-                    if json.loads(line)["step"] <= step:
-                        lines.append(line)
-                except ValueError:
-                    continue  # an incomplete line of a killed process
+        for line in read_text(self._path).splitlines() if self._path.exists() else ():
+            try:
+                if checked(json.loads(line), _Line)["step"] <= step:
+                    lines.append(line)
+            except (ValueError, RecursionError):
+                continue  # an incomplete line of a killed process
         write_text(self._path, "".join(line + "\n" for line in lines))
 
     def write(self, **values: Any) -> None:
         """Append one line."""
-        with self._path.open("a") as file:
-            file.write(json.dumps(values) + "\n")
+        try:
+            with self._path.open("a") as file:
+                file.write(json.dumps(values) + "\n")
+        except OSError as error:
+            raise writing_error(self._path, error) from error
 
 
 def _short(value: Any) -> str:

@@ -37,8 +37,7 @@ def make_tracker(name: str, folder: Path, config: dict[str, Any]) -> Tracker:
     try:
         return _TensorBoard(folder) if name == "tensorboard" else _Dashboard(name, folder, config)
     except ImportError:
-        package = "tensorboardX" if name == "tensorboard" else name
-        raise KeycldError(f"--track {name} needs its package: pip install {package}.") from None
+        raise KeycldError(f"--track {name} needs its package: pip install 'keycld[{name}]'.") from None
 
 
 class _Silent:

@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import math
 import shlex
 import sys
 from collections.abc import Callable
@@ -26,6 +27,7 @@ from keycld.training.trackers import make_tracker
 
 # Largest number of trajectories in the validation score.
 _VALIDATED = 100
+_MOST_WEIGHTS = 10**9
 # As many as between two lines of the log. With one program for a dispatch, its arguments and results pass once.
 _STEPS_PER_DISPATCH = 25
 
@@ -73,7 +75,7 @@ def train(
     for stage in stages:
         stage.sampler.check(source.at(0))
     # Errors of the recipe are raised before the folder is made.
-    blank = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
+    blank = _blank(config, scene)
     for stage in stages:
         stage.labels(blank)
     threshold = validation_epsilon(dataset)
@@ -131,13 +133,32 @@ def load_run(run: str | Path, **settings: Any) -> tuple[AbstractModel, RunConfig
     checkpoint = latest_checkpoint(folder)
     if checkpoint is None:
         raise KeycldError(f"{folder} has no checkpoint yet: wait for the first one, or train it again.")
-    chosen = config.model_config().changed(read_position(checkpoint).get("changes", {})).changed(settings)
-    return load_arrays(checkpoint / WEIGHTS, blank_model(chosen, config), chosen.RENAMED, chosen.ADDED), config
+    try:
+        chosen = config.model_config().changed(read_position(checkpoint).get("changes", {})).changed(settings)
+        return load_arrays(checkpoint / WEIGHTS, blank_model(chosen, config), chosen.RENAMED, chosen.ADDED), config
+    except KeycldError:
+        # Another process that trains this model may have replaced the checkpoint meanwhile.
+        if latest_checkpoint(folder) in (None, checkpoint):
+            raise
+        return load_run(run, **settings)
 
 
 def blank_model(chosen: ModelConfig, config: RunConfig) -> AbstractModel:
     """Return the model of a run with `jax.ShapeDtypeStruct`s in place of arrays; needs no data."""
-    return eqx.filter_eval_shape(chosen.build, Scene(**config.scene), jax.random.key(0))
+    return _blank(chosen, Scene(**config.scene))
+
+
+def _blank(config: ModelConfig, scene: Scene) -> AbstractModel:
+    try:
+        blank = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
+    except (MemoryError, OverflowError) as error:
+        raise KeycldError("a model of these settings does not fit into memory: make it smaller.") from error
+    size = sum(math.prod(leaf.shape) for leaf in jax.tree.leaves(blank) if hasattr(leaf, "shape"))
+    if size > _MOST_WEIGHTS:
+        raise KeycldError(
+            f"a model of these settings has {size:,} weights, more than {_MOST_WEIGHTS:,}: make it smaller."
+        )
+    return blank
 
 
 def _changes(config: ModelConfig, trained: ModelConfig) -> dict[str, Any]:

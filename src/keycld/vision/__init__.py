@@ -12,6 +12,9 @@ from keycld.vision.keypoint_estimator import AbstractEstimator as AbstractEstima
 from keycld.vision.keypoint_estimator import KeypointEstimator as KeypointEstimator
 from keycld.vision.keypoint_estimator import Observation as Observation
 from keycld.vision.keypoint_estimator import Standardise as Standardise
+from keycld.vision.map_networks import MapEncoder as MapEncoder
+from keycld.vision.map_networks import MapEnergy as MapEnergy
+from keycld.vision.map_networks import MapTransform as MapTransform
 from keycld.vision.renderer import AbstractRenderer as AbstractRenderer
 from keycld.vision.renderer import Renderer as Renderer
 from keycld.vision.unet import AbstractUNet as AbstractUNet
@@ -28,6 +31,9 @@ __all__ = [
     "ImageEncoder",
     "KeypointEstimator",
     "LightUNet",
+    "MapEncoder",
+    "MapEnergy",
+    "MapTransform",
     "Observation",
     "PaperUNet",
     "Renderer",

@@ -43,7 +43,9 @@ def energies(model, states):
 
 
 def test_it_has_the_number_of_weights_of_the_benchmark():
-    model = eqx.filter_eval_shape(config_for("hgn").build, Scene(32, 32, 0, 256, 0.05, 100), jax.random.key(0))
+    model = eqx.filter_eval_shape(
+        config_for("hgn", "released").build, Scene(32, 32, 0, 256, 0.05, 100), jax.random.key(0)
+    )
     assert sum(leaf.size for leaf in jax.tree.leaves(model)) == 882_561
 
 
@@ -63,6 +65,15 @@ def test_leapfrog_keeps_the_energy_to_second_order(getkey):
     assert coarse[50:].max() < 3 * coarse[:50].max()
     kinetic = jax.vmap(lively.kinetic_energy)(lively.rollout(state, DT, jnp.zeros(0), 100))
     assert coarse.max() < 0.05 * float(kinetic.max() - kinetic.min())
+
+
+def test_kinetic_energy_is_zero_at_rest(lively, state):
+    """Whatever constant the network of T has learned."""
+    rest = eqx.tree_at(lambda s: s.coordinates.p, state, 0.0 * state.coordinates.p)
+    last = lively.hamiltonian.kinetic.network.layers[-1].bias
+    shifted = eqx.tree_at(lambda m: m.hamiltonian.kinetic.network.layers[-1].bias, lively, last - 7.0)
+    assert float(shifted.kinetic_energy(rest)) == 0.0
+    np.testing.assert_allclose(shifted.kinetic_energy(state), lively.kinetic_energy(state), rtol=1e-4, atol=1e-5)
 
 
 def test_backward_is_the_inverse_of_forward(lively, state):
@@ -141,14 +152,14 @@ def test_frames_of_another_size_are_refused(lively):
 )
 def test_settings_that_do_not_fit_are_refused(settings, words):
     with pytest.raises(KeycldError, match=words):
-        config_for("hgn", **settings)
+        config_for("hgn", "released", **settings)
 
 
 def test_windows_are_those_of_the_benchmark():
     """64 frames forward, 65 both ways, and whole trajectories where they are shorter."""
     long, short = scene(frames=256), scene(frames=20)
-    both = config_for("hgn", regime="forward_backward")
-    assert [config_for("hgn").window(s) for s in (long, short)] == [64, 20]
+    both = config_for("hgn", "released", regime="forward_backward")
+    assert [config_for("hgn", "released").window(s) for s in (long, short)] == [64, 20]
     assert [both.window(s) for s in (long, short)] == [65, 20]
     with pytest.raises(KeycldError, match="trajectories have 5"):
-        config_for("hgn").window(scene(frames=5))
+        config_for("hgn", "released").window(scene(frames=5))

@@ -1,5 +1,7 @@
 """Losses of latent models against formulas written out in NumPy."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -8,17 +10,18 @@ import pytest
 
 from keycld.data import Clip, resident
 from keycld.models import Scene, config_for
-from keycld.models.latent.losses import ELBOLoss, GECOLoss, divergence, posterior_statistics, reconstruct
+from keycld.models.latent.losses import ELBOLoss, GECOLoss, Targets, divergence, posterior_statistics, reconstruct
 from keycld.models.latent.model import Gaussian
 from keycld.training.step import initial_progress, make_step
 from scenes import disc_pendulum
 
 TINY = {"channels": 4, "hidden": 8, "depth": 1, "latent": 4}
 LENGTH = 9
+FORWARD, BOTH = Targets(False, False, 0, 100), Targets(True, True, 0, 100)
 
 
 def built(key, **settings):
-    return config_for("hgn", **TINY, **settings).build(Scene(16, 16, 0, LENGTH, 0.05, 3), key)
+    return config_for("hgn", "released", **TINY, **settings).build(Scene(16, 16, 0, LENGTH, 0.05, 3), key)
 
 
 @pytest.fixture
@@ -59,7 +62,7 @@ def test_training_samples_the_latent_vector(getkey, clips):
     model, keys = built(getkey()), jax.random.split(getkey(), 3)
 
     def errors(model):
-        return [float(reconstruct(model, clips, key, False, 100).squared_error) for key in keys]
+        return [float(reconstruct(model, clips, key, FORWARD).squared_error) for key in keys]
 
     assert len(set(errors(model))) == 3
     np.testing.assert_allclose(errors(certain(model)), errors(certain(model))[0], rtol=1e-6)
@@ -67,7 +70,7 @@ def test_training_samples_the_latent_vector(getkey, clips):
 
 def test_forward_targets_begin_with_the_last_given_frame(getkey, clips):
     model = certain(built(getkey()))
-    found = reconstruct(model, clips, getkey(), False, 100)
+    found = reconstruct(model, clips, getkey(), FORWARD)
     assert found.frames == LENGTH - 4 and found.values == found.frames * 16 * 16 * 3
     predicted = jax.vmap(lambda f: model.predict(f, jnp.array(0.05), jnp.zeros(0), LENGTH).frames)(clips.frames[:, :5])
     expected = np.mean((np.asarray(predicted) - np.asarray(clips.frames))[:, 4:] ** 2)
@@ -77,7 +80,7 @@ def test_forward_targets_begin_with_the_last_given_frame(getkey, clips):
 def test_both_ways_half_of_the_windows_are_seen_from_their_end(getkey, clips):
     """The second half: the encoder sees the last five frames in the order of time, and the state is at their middle."""
     model = certain(built(getkey(), regime="forward_backward"))
-    found = reconstruct(model, clips, getkey(), True, 100)
+    found = reconstruct(model, clips, getkey(), BOTH)
     assert found.frames == LENGTH
     errors = []
     for k, frames in enumerate(clips.frames):
@@ -88,12 +91,50 @@ def test_both_ways_half_of_the_windows_are_seen_from_their_end(getkey, clips):
     assert float(found.squared_error) == pytest.approx(np.mean(errors), rel=1e-5)
 
 
+def test_given_frames_alone_are_targets_of_the_original(getkey, clips):
+    """The state belongs to the last of the given frames, and the motion is rolled back over them."""
+    model = certain(built(getkey(), given=LENGTH, regime="given"))
+    found = reconstruct(model, clips, getkey(), Targets(False, True, 0, 100))
+    assert found.frames == LENGTH
+    errors = []
+    for frames in clips.frames:
+        last = model.infer(frames, jnp.array(0.05), jnp.zeros(0))
+        back = model.rollout(last, jnp.array(-0.05), jnp.zeros(0), LENGTH - 1)
+        errors.append(np.mean((np.asarray(jax.vmap(model.render)(back))[::-1] - np.asarray(frames)) ** 2))
+    assert float(found.squared_error) == pytest.approx(np.mean(errors), rel=1e-5)
+
+
+def test_a_few_random_frames_estimate_the_error_of_all(getkey, clips):
+    """Two of five targets: other ones with each key, on average the same error, and S is still that of all."""
+    model = certain(built(getkey()))
+    # A frame that differs from all others shows which ones were taken.
+    clips = dataclasses.replace(clips, frames=clips.frames.at[:, -1].set(5.0))
+    whole = reconstruct(model, clips, getkey(), FORWARD)
+    few = jax.jit(lambda key: reconstruct(model, clips, key, FORWARD._replace(rendered=2)).squared_error)
+    errors = np.asarray([few(key) for key in jax.random.split(getkey(), 200)])
+    assert errors.std() > 0.1 * errors.mean()
+    assert errors.mean() == pytest.approx(float(whole.squared_error), rel=0.1)
+    assert reconstruct(model, clips, getkey(), FORWARD._replace(rendered=2)).values == whole.values
+
+
+def test_explained_is_zero_for_the_mean_picture(getkey, clips):
+    """A decoder of one colour, the mean of all targets, explains nothing of frames of other colours."""
+    model = built(getkey())
+    last = model.decoder.convolutions[-1]
+    dull = (jnp.zeros_like(last.kernel), jnp.full(3, np.log(0.3 / 0.7)))
+    model = eqx.tree_at(lambda m: (m.decoder.convolutions[-1].kernel, m.decoder.convolutions[-1].bias), model, dull)
+    shade = jax.random.uniform(getkey(), (4, LENGTH, 1, 1, 1), minval=-0.2, maxval=0.2)
+    frames = jnp.broadcast_to(0.3 + shade - jnp.mean(shade[:, 4:]), (4, LENGTH, 16, 16, 3))
+    found = reconstruct(model, dataclasses.replace(clips, frames=frames), getkey(), FORWARD)
+    assert float(found.statistics["explained"]) == pytest.approx(0.0, abs=1e-4)
+
+
 @pytest.mark.parametrize("per_frame", [False, True])
 def test_elbo_is_the_likelihood_and_the_weighed_divergence(getkey, clips, per_frame):
     """Summed −ln N(x; μ, ½) and β KL, over the number S of values; with eq. (3)'s weight, T times the latter."""
     model = certain(built(getkey()))
     key = getkey()
-    loss, terms = ELBOLoss(0.7, per_frame, False, 100)(model, clips, key=key, step=jnp.array(0))
+    loss, terms = ELBOLoss(0.7, per_frame, FORWARD)(model, clips, key=key, step=jnp.array(0))
     targets = np.asarray(clips.frames, np.float64)[:, 4:]
     predicted = jax.vmap(lambda f: model.predict(f, jnp.array(0.05), jnp.zeros(0), LENGTH).frames)(clips.frames[:, :5])
     error = targets - np.asarray(predicted, np.float64)[:, 4:]
@@ -120,7 +161,7 @@ def test_geco_raises_the_multiplier_while_the_error_is_too_large(getkey, clips):
     model, key, rate = built(getkey()), getkey(), 0.01
     ends = {}
     for kappa in (1e-3, 1.0):
-        loss = GECOLoss(kappa, rate, False, 100)
+        loss = GECOLoss(kappa, rate, FORWARD)
         memory = loss.initial()
         assert float(jax.nn.softplus(memory["raw"])) == pytest.approx(1.0)
         total, terms, memory = loss(model, clips, key=key, step=jnp.array(0), memory=memory)
@@ -136,7 +177,7 @@ def test_geco_raises_the_multiplier_while_the_error_is_too_large(getkey, clips):
 
 def test_geco_weighs_the_error_by_the_multiplier(getkey, clips):
     model, key = built(getkey()), getkey()
-    loss = GECOLoss(1e-3, 0.01, False, 100)
+    loss = GECOLoss(1e-3, 0.01, FORWARD)
     memory = loss.initial() | {"raw": jnp.array(3.0)}
     total, terms, _ = loss(model, clips, key=key, step=jnp.array(0), memory=memory)
     constraint, kl = float(terms["squared_error"]) - 1e-3, float(terms["kl"]) / (5 * 16 * 16 * 3)
@@ -149,7 +190,9 @@ def test_frames_in_chunks_give_the_same_loss_and_gradient(getkey, clips, both_wa
     model, key = built(getkey(), regime="forward_backward" if both_ways else "forward"), getkey()
 
     def loss(model, at_once):
-        return ELBOLoss(1.0, False, both_ways, at_once)(model, clips, key=key, step=jnp.array(0))[0]
+        return ELBOLoss(1.0, False, Targets(both_ways, both_ways, 0, at_once))(
+            model, clips, key=key, step=jnp.array(0)
+        )[0]
 
     whole, parts = (eqx.filter_jit(eqx.filter_value_and_grad(lambda m, n=n: loss(m, n)))(model) for n in (100, 3))
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
@@ -158,7 +201,7 @@ def test_frames_in_chunks_give_the_same_loss_and_gradient(getkey, clips, both_wa
 
 def test_a_step_of_the_published_size_fits_into_memory():
     """128 windows of 64 frames: the layers of all rendered frames together would take 15 GB, of a chunk 2 GB."""
-    config, scene = config_for("hgn"), Scene(32, 32, 0, 256, 0.05, 100)
+    config, scene = config_for("hgn", "released"), Scene(32, 32, 0, 256, 0.05, 100)
     model = eqx.filter_eval_shape(config.build, scene, jax.random.key(0))
     (stage,) = config.stages(scene)
     frames = jax.ShapeDtypeStruct((128, 64, 32, 32, 3), jnp.float32)
@@ -175,7 +218,7 @@ def test_a_step_of_the_published_size_fits_into_memory():
 def test_a_few_steps_of_training_lower_the_loss(getkey):
     data = resident(disc_pendulum(4, 12, seed=0))
     data = eqx.tree_at(lambda d: d.u, data, data.u[:, :0])
-    config = config_for("hgn", **TINY, batch=4, steps=40, rate=3e-3)
+    config = config_for("hgn", "released", **TINY, batch=4, steps=40, rate=3e-3)
     scene = Scene(16, 16, 0, 12, 0.05, 4)
     (stage,) = config.stages(scene)
     model = config.build(scene, getkey())

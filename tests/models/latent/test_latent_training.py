@@ -22,7 +22,7 @@ def terms(run):
 def test_a_resumed_run_has_the_same_bits(tmp_path):
     """The multiplier of GECO and its Adam are in the checkpoint too."""
     data = write_data(tmp_path / "mine", count=3, frames=9)
-    config = config_for("hgn", **TINY, objective="geco", regime="forward_backward")
+    config = config_for("hgn", "released", **TINY, objective="geco", regime="forward_backward")
     settings = {"checkpoint_seconds": 0.0, "log_every": 2, "keep": 100}
     model = train(data, tmp_path / "whole", config, **settings)
     run = shutil.copytree(tmp_path / "whole", tmp_path / "cut")

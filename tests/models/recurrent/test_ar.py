@@ -20,7 +20,7 @@ CELLS = ("vanilla", "lstm", "gru")
 
 
 def built(key, inputs=0, **settings):
-    return config_for("ar", **TINY, **settings).build(Scene(16, 16, inputs, 20, 0.05, 3), key)
+    return config_for("ar", "released", **TINY, **settings).build(Scene(16, 16, inputs, 20, 0.05, 3), key)
 
 
 @pytest.fixture
@@ -36,7 +36,7 @@ def clip(frames, u):
 
 @pytest.mark.parametrize(("cell", "expected"), [("vanilla", 883_183), ("lstm", 2_248_819), ("gru", 1_793_263)])
 def test_it_has_the_number_of_weights_of_the_benchmark(cell, expected):
-    build = config_for("ar", cell=cell).build
+    build = config_for("ar", "released", cell=cell).build
     model = eqx.filter_eval_shape(build, Scene(32, 32, 0, 256, 0.05, 100), jax.random.key(0))
     assert sum(leaf.size for leaf in jax.tree.leaves(model)) == expected
 
@@ -62,7 +62,7 @@ def test_teacher_forcing_is_feeding_true_frames_one_at_a_time(cell, inputs, getk
         state = step(state, u[k - 1])
         errors.append(np.mean((np.asarray(model.render(state), np.float64) - np.asarray(frames[k])) ** 2))
         state = eqx.tree_at(lambda s: s.coordinates.picture, state, frames[k])
-    loss, terms = NextFrameLoss(100)(model, clip(frames, u), key=getkey(), step=jnp.array(0))
+    loss, terms = NextFrameLoss(0, 100)(model, clip(frames, u), key=getkey(), step=jnp.array(0))
     assert float(terms["squared_error"]) == pytest.approx(np.mean(errors), rel=1e-5)
     assert float(loss) == pytest.approx(np.mean(errors) + 0.5 * np.log(np.pi), rel=1e-5)
 
@@ -119,7 +119,7 @@ def test_frames_in_chunks_give_the_same_loss_and_gradient(getkey, frames):
     window = Clip(windows, None, jnp.zeros((3, 7), int), jnp.zeros((3, 7, 0)), jnp.full(3, 0.05), 7)
 
     def loss(model, at_once):
-        return NextFrameLoss(at_once)(model, window, key=jax.random.key(0), step=jnp.array(0))[0]
+        return NextFrameLoss(0, at_once)(model, window, key=jax.random.key(0), step=jnp.array(0))[0]
 
     whole, parts = (eqx.filter_jit(eqx.filter_value_and_grad(lambda m, n=n: loss(m, n)))(model) for n in (100, 12))
     for one, other in zip(jax.tree.leaves(whole), jax.tree.leaves(parts), strict=True):
@@ -128,7 +128,7 @@ def test_frames_in_chunks_give_the_same_loss_and_gradient(getkey, frames):
 
 def test_a_few_steps_of_training_lower_the_loss(getkey):
     data = resident(disc_pendulum(4, 12, seed=0))
-    config = config_for("ar", **TINY, batch=4, steps=40, rate=3e-3)
+    config = config_for("ar", "released", **TINY, batch=4, steps=40, rate=3e-3)
     scene = Scene(16, 16, 1, 12, 0.05, 4)
     (stage,) = config.stages(scene)
     model = config.build(scene, getkey())
@@ -148,4 +148,4 @@ def test_a_few_steps_of_training_lower_the_loss(getkey):
 )
 def test_settings_that_do_not_fit_are_refused(settings, words):
     with pytest.raises(KeycldError, match=words):
-        config_for("ar", **settings)
+        config_for("ar", "released", **settings)

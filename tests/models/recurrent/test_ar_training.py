@@ -12,7 +12,7 @@ from scenes import write_data
 
 def test_a_resumed_run_has_the_same_bits(tmp_path):
     data = write_data(tmp_path / "mine", count=3, frames=9)
-    config = config_for("ar", cell="lstm", channels=4, hidden=8, layers=2, latent=4, batch=2, steps=6)
+    config = config_for("ar", "released", cell="lstm", channels=4, hidden=8, layers=2, latent=4, batch=2, steps=6)
     settings = {"checkpoint_seconds": 0.0, "log_every": 2, "keep": 100}
     model = train(data, tmp_path / "whole", config, **settings)
     run = shutil.copytree(tmp_path / "whole", tmp_path / "cut")

@@ -6,7 +6,7 @@ from typing import Any
 
 from keycld._errors import KeycldError
 from keycld.data.format.folder import read_statistics, sha256, unfinished
-from keycld.data.format.reading import open_file
+from keycld.data.format.hdf5 import open_file
 from keycld.data.format.rules import check_images, check_structure
 
 

@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld.data.format.reading import open_file, read, recordings
+from keycld.data.format.hdf5 import open_file
+from keycld.data.format.reading import read, recordings
 from keycld.data.format.rules import EVERY
 from keycld.data.format.trajectories import Trajectories
 from keycld.systems import AbstractRenderedSystem, AbstractSystem, Recording, get, names, numbers_only

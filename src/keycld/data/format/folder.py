@@ -3,14 +3,52 @@
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, NotRequired, TypedDict
 
-from keycld._errors import KeycldError
 from keycld._files import write_text
+from keycld._records import Name, read_json
 
 PARTIAL = ".partial"
 CONSTRAINTS = "constraints.toml"
 _STATISTICS = "statistics.json"
+
+
+class SplitPlan(TypedDict):
+    """A split in a recipe: its name, the first seed and the one after the last, and the frames of a recording."""
+
+    name: Name
+    seeds: tuple[int, int]
+    frames: int
+    conditions: dict[str, Any]
+
+
+class Recipe(TypedDict):
+    """What decides the contents of a data set."""
+
+    system: str
+    protocol: NotRequired[str]
+    splits: list[SplitPlan]
+
+
+class SplitFigures(TypedDict):
+    """The figures of one file; those of pictures are absent where there are none."""
+
+    trajectories: int
+    frames: int
+    bytes: int
+    sha256: str
+    epsilon: NotRequired[float]
+
+
+class _Statistics(TypedDict):
+    splits: dict[Name, SplitFigures]
+    recipe: NotRequired[Recipe]
+    renderer: NotRequired[str]
+    seconds: NotRequired[float]
+    frames_drawn: NotRequired[int]
+    parameters: NotRequired[dict[str, dict[str, float]]]
+    conserved: NotRequired[dict[str, float]]
+    baselines: NotRequired[dict[str, dict[str, float]]]
 
 
 def unfinished(folder: Path) -> bool:
@@ -32,11 +70,21 @@ def read_statistics(folder: Path) -> dict[str, Any] | None:
     """
     path = folder / _STATISTICS
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError):
+        return read_json(path, _Statistics, "delete it and make the data again")
+    except FileNotFoundError:
         return None
-    except (OSError, ValueError) as error:
-        raise KeycldError(f"{path} is damaged ({error}): delete it and make the data again.") from error
+
+
+def read_recipe(path: Path) -> dict[str, Any] | None:
+    """Read the recipe of unfinished work; None if there is none.
+
+    Raises:
+        KeycldError: the file is damaged.
+    """
+    try:
+        return read_json(path, Recipe, "delete the folder that it is in")
+    except FileNotFoundError:
+        return None
 
 
 def write_statistics(folder: Path, figures: dict[str, Any]) -> None:

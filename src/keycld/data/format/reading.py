@@ -1,6 +1,5 @@
 """Reads trajectories from an HDF5 file: all of them, some, or block by block."""
 
-import contextlib
 import dataclasses
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -10,33 +9,9 @@ import h5py
 import numpy as np
 
 from keycld._errors import KeycldError
+from keycld.data.format.hdf5 import open_file
 from keycld.data.format.rules import EVERY, check_images, check_structure, recordings_in
 from keycld.data.format.trajectories import Trajectories
-
-
-@contextlib.contextmanager
-def open_file(path: str | Path) -> Iterator[Any]:
-    """Open an HDF5 file for reading.
-
-    Raises:
-        KeycldError: there is none, it may not be read, or it is truncated or damaged, found now or later while reading.
-    """
-    path = Path(path)
-    if path.is_dir():
-        raise KeycldError(f"{path} is a folder: name one of the .h5 files in it.")
-    try:
-        with h5py.File(path, "r") as file:
-            yield file
-    except FileNotFoundError:
-        raise KeycldError(f"there is no file {path}: check the path.") from None
-    except PermissionError:
-        raise KeycldError(f"{path} may not be read: change its permissions.") from None
-    except KeycldError:
-        raise
-    except Exception as error:  # on damaged bytes h5py may raise anything, or hand out None
-        raise KeycldError(
-            f"{path} is not a whole HDF5 file, it is truncated or damaged: copy or make it again ({error})."
-        ) from error
 
 
 def read(path: str | Path, *, images: bool = True, rows: slice = EVERY) -> Trajectories:

@@ -19,6 +19,9 @@ _ATTRIBUTES = {
 }
 # Steps of time may differ from dt by this part of it: the clocks of cameras are read to a millisecond.
 _TIME_TOLERANCE = 0.02
+LARGEST_RECORDING = 128_000_000
+"""The most bytes of the pictures, or of one other field, of a recording: 128 frames of 576 × 576 pixels."""
+_LONGEST_SIDE = 2048
 
 
 def check_structure(file: File, rows: slice = EVERY) -> list[str]:
@@ -33,6 +36,13 @@ def _attribute_problems(file: File) -> Iterator[str]:
     for name, meaning in _ATTRIBUTES.items():
         if name not in file.attrs:
             yield f"the root attribute '{name}' is missing: add it ({meaning})."
+    for name in ("system", "renderer", "protocol", "generator"):
+        value = file.attrs.get(name, "")
+        if not isinstance(value, str) or len(value) > 1000:
+            yield f"the attribute '{name}' is not a text: store one of at most 1,000 letters."
+    for name in ("state_names", "units", "input_names"):
+        if not all(isinstance(each, str) for each in np.atleast_1d(file.attrs.get(name, ())).tolist()):
+            yield f"the attribute '{name}' holds something else than texts: store a list of them."
     version = file.attrs.get("schema_version", SCHEMA_VERSION)
     if not _is_number(version) or version != SCHEMA_VERSION:
         yield (
@@ -62,6 +72,13 @@ def _field_problems(file: File) -> Iterator[str]:
     for name in ("time", "input", "state", "state_derivative"):
         if name in file and (not _is_real(file[name])):
             yield f"'/{name}' is {_kind(file[name])}, but must hold real numbers: store it as float64."
+    parameters = file.get("parameters", {})
+    if _kind(parameters) != "a group" and len(parameters):
+        yield "'/parameters' is not a group: store each parameter as '/parameters/NAME'."
+        return
+    for name, item in parameters.items():
+        if _kind(item) == "a group" or (item.dtype.kind not in "fiubSO"):
+            yield f"'/parameters/{name}' is {_kind(item)}, but must hold numbers or texts."
 
 
 def _kind(item: Any) -> str:
@@ -79,6 +96,15 @@ def recordings_in(file: File) -> int:
 
 
 def _shape_problems(file: File) -> Iterator[str]:
+    for name in ("image", "input", "state", "state_derivative"):
+        shape = file[name].shape if name in file else ()
+        largest = np.prod(shape[1:], dtype=float) * (file[name].dtype.itemsize if name in file else 0)
+        if largest > LARGEST_RECORDING or (name == "image" and max(shape[2:4], default=0) > _LONGEST_SIDE):
+            yield (
+                f"'/{name}' has the shape {shape}, more than {LARGEST_RECORDING // 10**6} MB a recording or pictures "
+                f"of more than {_LONGEST_SIDE} pixels on a side: store shorter recordings of smaller pictures."
+            )
+            return
     time = file["time"].shape
     if len(time) != 1 or time[0] < 2:
         yield f"'/time' has the shape {time}, but must be [T] with T of at least 2."

@@ -1,7 +1,5 @@
 """Writes trajectories to an HDF5 file, and joins files."""
 
-import contextlib
-import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -9,17 +7,14 @@ from typing import Any
 import h5py
 import numpy as np
 
-from keycld._errors import KeycldError
-from keycld._files import replacing
-from keycld.data.format.reading import open_file, read, recordings, refuse
+from keycld.data.format.hdf5 import create_file, open_file
+from keycld.data.format.reading import recordings, refuse
 from keycld.data.format.rules import SCHEMA_VERSION, check_structure
 from keycld.data.format.trajectories import Trajectories
 
 # Successive frames are alike and lie within deflate's window of 32 kB: level 4 makes pendulum pictures 28 times
 # smaller and takes no more time than level 1 (10 times smaller) or LZF (1.5 times). Shuffling has no effect on bytes.
 _COMPRESSION: dict[str, Any] = {"compression": "gzip", "compression_opts": 4}
-# Files are joined in memory up to this size.
-_LARGE = 5e8
 
 
 def write(path: str | Path, trajectories: Trajectories) -> None:
@@ -30,27 +25,13 @@ def write(path: str | Path, trajectories: Trajectories) -> None:
     Raises:
         KeycldError: the contents violate the format; the folder cannot be written; the disk is full.
     """
-    with _new_file(Path(path)) as file:
+    with create_file(path) as file:
         _write_small(file, trajectories)
         if trajectories.image is not None:
             image = np.asarray(trajectories.image)
             # One chunk a recording, because a clip is cut from one recording.
             file.create_dataset("image", data=image, chunks=(1, *image.shape[1:]), **_COMPRESSION)
         refuse(check_structure(file), path)
-
-
-@contextlib.contextmanager
-def _new_file(path: Path) -> Iterator[h5py.File]:
-    """Make an HDF5 file in memory, written to `path` as a whole at the end.
-
-    HDF5 itself may crash the process on a full disk. Compressed recordings are small enough for memory.
-    """
-    with h5py.File(path.name, "w", driver="core", backing_store=False, block_size=2**20) as file:
-        yield file
-        file.flush()
-        contents = file.id.get_file_image()
-    with replacing(path) as temporary:
-        temporary.write_bytes(contents)
 
 
 def _write_small(file: h5py.File, trajectories: Trajectories) -> None:
@@ -75,49 +56,11 @@ def join(parts: Sequence[Path], path: Path) -> None:
     Raises:
         KeycldError: as `write` and `read`.
     """
-    if sum(part.stat().st_size for part in parts) > _LARGE:
-        _join_on_disk(parts, path)
-        return
-    loaded = [read(part, images=False) for part in parts]
-    first = loaded[0]
-    everything = Trajectories(
-        time=first.time,
-        input=np.concatenate([each.input for each in loaded]),
-        state=_joined([each.state for each in loaded]),
-        state_derivative=_joined([each.state_derivative for each in loaded]),
-        parameters={name: np.concatenate([each.parameters[name] for each in loaded]) for name in first.parameters},
-        attributes=first.attributes,
-    )
-    with _new_file(path) as file:
-        _write_small(file, everything)
-        chunks = (chunk for part in parts for chunk in _chunks(part))
-        for position, (mask, chunk, shape) in enumerate(chunks):
-            if position == 0:
-                whole = (len(everything), *shape)
-                image = file.create_dataset("image", whole, np.uint8, chunks=(1, *shape), **_COMPRESSION)
-            image.id.write_direct_chunk((position, 0, 0, 0, 0), chunk, mask)
-
-
-def _joined(values: Sequence[np.ndarray | None]) -> np.ndarray | None:
-    stored = [value for value in values if value is not None]
-    return np.concatenate(stored) if stored else None
-
-
-def _join_on_disk(parts: Sequence[Path], path: Path) -> None:
-    """Join part by part, for files that do not fit into memory."""
-    size = sum(part.stat().st_size for part in parts)
-    free = shutil.disk_usage(path.parent).free
-    if free < 1.05 * size:  # HDF5 itself may crash on a full disk
-        raise KeycldError(
-            f"{path} takes {size / 1e9:.1f} GB but the disk has {free / 1e9:.1f} GB left: free some space and run it "
-            "again."
-        )
     counts = [recordings(part) for part in parts]
-    # An error while writing must not be reported as an error of a part: parts are read before anything is written.
     with open_file(parts[0]) as first:
         attributes, times = dict(first.attrs), first["time"][...]
         layout = {name: (first[name].shape[1:], first[name].dtype, first[name].chunks) for name in _fields(first)}
-    with replacing(path) as temporary, h5py.File(temporary, "w") as new:
+    with create_file(path) as new:
         file: Any = new
         file.attrs.update(attributes)
         file["time"] = times
@@ -129,7 +72,7 @@ def _join_on_disk(parts: Sequence[Path], path: Path) -> None:
                 small = {name: source[name][...] for name in _fields(source) if name != "image"}
             for name, values in small.items():
                 file[name][row : row + len(values)] = values
-            for i, (mask, chunk, _) in enumerate(_chunks(part)):
+            for i, (mask, chunk) in enumerate(_chunks(part)):
                 file["image"].id.write_direct_chunk((row + i, 0, 0, 0, 0), chunk, mask)
 
 
@@ -139,10 +82,8 @@ def _fields(file: Any) -> list[str]:
     return fields + [f"parameters/{name}" for name in file.get("parameters", {})]
 
 
-def _chunks(path: Path) -> Iterator[tuple[int, bytes, tuple[int, ...]]]:
-    """Yield the compressed pictures of each recording: filter mask, bytes, and shape [T, H, W, 3]."""
+def _chunks(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Yield the compressed pictures of each recording: filter mask and bytes."""
     with open_file(path) as file:
-        image = file.get("image", ())
-        for index in range(len(image)):
-            mask, chunk = image.id.read_direct_chunk((index, 0, 0, 0, 0))
-            yield mask, chunk, image.shape[1:]
+        for index in range(len(file.get("image", ()))):
+            yield file["image"].id.read_direct_chunk((index, 0, 0, 0, 0))

@@ -3,16 +3,14 @@
 import contextlib
 import json
 import shutil
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError
 from keycld._files import make_folder, write_text
-from keycld._lock import locked
 from keycld.data.describe.finish import describe_more, finish
 from keycld.data.format.folder import PARTIAL, read_statistics
 from keycld.data.format.reading import read
@@ -62,17 +60,6 @@ class Made:
     seconds: float
     renderer: str
     later: tuple[str, ...]
-
-
-@contextlib.contextmanager
-def alone(folder: Path) -> Iterator[None]:
-    """Wait until no other process makes data in the folder, and keep others waiting."""
-    lock = folder / ".lock"
-    with contextlib.ExitStack() as held:
-        if not held.enter_context(locked(lock)):
-            print(f"waiting for another process that makes data in {folder}", file=sys.stderr, flush=True)
-            held.enter_context(locked(lock, wait=True))
-        yield
 
 
 class Job:

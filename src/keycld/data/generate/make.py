@@ -7,9 +7,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from keycld._errors import KeycldError
+from keycld._lock import alone
 from keycld._progress import Bar
 from keycld.data.format.folder import PARTIAL
-from keycld.data.generate.job import Job, Made, Progress, alone
+from keycld.data.generate.job import Job, Made, Progress
 from keycld.data.generate.recipes import ON_DEMAND, deferred, recipe_for, stored_recipe
 from keycld.data.generate.sampled import Store
 from keycld.systems import AbstractSampledSystem, AbstractSystem, get, names

@@ -8,7 +8,7 @@ from typing import Any
 
 from keycld._errors import KeycldError
 from keycld._version import __version__
-from keycld.data.format.folder import PARTIAL, read_statistics
+from keycld.data.format.folder import PARTIAL, read_recipe, read_statistics
 from keycld.data.generate.parts import Part, make_part
 from keycld.data.generate.protocols import Split, splits
 from keycld.data.generate.sampled import Store, sampled_parts, sampled_recipe
@@ -112,8 +112,8 @@ def deferred(folder: Path) -> tuple[str, ...]:
 
 def begun_recipe(folder: Path) -> dict[str, Any] | None:
     """Return the recipe of work that is under way or was interrupted in a folder; None if there is none."""
-    marker = folder / PARTIAL / "recipe.json"
-    return _renamed(json.loads(marker.read_text())) if marker.exists() else None
+    found = read_recipe(folder / PARTIAL / "recipe.json")
+    return None if found is None else _renamed(found)
 
 
 def refuse_another(wanted: Mapping[str, Any], found: Mapping[str, Any] | None, folder: Path) -> None:

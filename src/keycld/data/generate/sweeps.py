@@ -1,11 +1,14 @@
 """Pictures along the paths of the energy figures: one file, one trajectory a path."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from keycld._errors import KeycldError
+from keycld._files import checked_name
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.systems import AbstractMechanism, render_in_worker
@@ -54,17 +57,29 @@ def make_sweeps(system: AbstractMechanism, attributes: Mapping[str, Any], path: 
 
 
 def sweeps_of(trajectories: Trajectories) -> tuple[Sweep, ...]:
-    """List the paths in a `sweeps.h5`, without the repeated points."""
+    """List the paths in a `sweeps.h5`, without the repeated points.
+
+    Raises:
+        KeycldError: the file does not describe them, or a name is none.
+    """
     found, sweeps = trajectories.parameters, []
-    assert trajectories.image is not None and trajectories.state is not None
+    names = trajectories.attributes.get("state_names", ())
+    if trajectories.image is None or trajectories.state is None or not {"name", "vary", "length", "shape"} <= {*found}:
+        raise KeycldError("sweeps.h5 lacks pictures, states or the parameters that describe its paths: make it again.")
+    numbers = (found["length"], found["shape"])
+    if any(each.dtype.kind not in "iu" or each.min() < 1 for each in numbers) or found["shape"].ndim != 2:
+        raise KeycldError("the parameters 'length' and 'shape' in sweeps.h5 are no positive numbers: make it again.")
     for i in range(len(trajectories)):
         vary = tuple(str(found["vary"][i]).split(","))
         length = int(found["length"][i])
+        shape = tuple(int(n) for n in found["shape"][i][: len(vary)])
+        if not {*vary} <= {*names} or length > trajectories.frames or math.prod(shape) != length or len(vary) > 2:
+            raise KeycldError(f"path {i} in sweeps.h5 has states, a length or a shape that do not fit: make it again.")
         sweeps.append(
             Sweep(
-                name=str(found["name"][i]),
+                name=checked_name(str(found["name"][i]), "sweeps.h5"),
                 vary=vary,
-                shape=tuple(int(n) for n in found["shape"][i][: len(vary)]),
+                shape=shape,
                 image=trajectories.image[i, :length],
                 state=trajectories.state[i, :length],
             )

@@ -1,10 +1,11 @@
 """The first step of an import: who holds a folder."""
 
+import shutil
 from pathlib import Path
 
 from keycld._errors import KeycldError
 from keycld._files import make_folder
-from keycld.data.format.folder import PARTIAL, unfinished
+from keycld.data.format.folder import PARTIAL, read_statistics, unfinished
 
 
 def claim(folder: Path) -> Path:
@@ -14,6 +15,8 @@ def claim(folder: Path) -> Path:
         KeycldError: it holds other data.
     """
     parts = folder / PARTIAL
+    if read_statistics(folder) is not None:  # an import that was killed after its last file left its parts
+        shutil.rmtree(parts, ignore_errors=True)
     made = (parts / "recipe.json").exists()  # written by `make_data`
     if made or (any(folder.glob("*.h5")) and not unfinished(folder)):
         raise KeycldError(f"{folder} already holds data: choose another folder, or delete it first.")

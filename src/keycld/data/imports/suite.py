@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError, unknown
+from keycld._lock import alone
 from keycld.data.describe.finish import finish
-from keycld.data.format.folder import PARTIAL
+from keycld.data.format.folder import PARTIAL, read_statistics
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import join, write
 from keycld.data.generate.sampled import validation_count
@@ -46,10 +47,27 @@ def import_suite(folder: str | Path, out: str | Path | None = None) -> Path:
     source = Path(folder)
     system = _system(source)
     out = Path(out) if out is not None else Path("data") / system.name
-    partial = claim(out)
+    with alone(out):
+        if not _finished(out, system.name, source.name):
+            _import(source, out, system, began)
+        shutil.rmtree(out / PARTIAL, ignore_errors=True)
+    return out
+
+
+def _finished(out: Path, system: str, source: str) -> bool:
+    """Tell whether an import of the same was killed after its last file, when only its parts were left to remove."""
+    recipe = (read_statistics(out) or {}).get("recipe", {})
+    same = recipe.get("system") == system and recipe.get("imported") == source
+    return same and (out / PARTIAL).exists()
+
+
+def _import(source: Path, out: Path, system: AbstractSampledSystem, began: float) -> None:
+    claim(out)
     features = read_features(source / "features.txt")
     train = source / "train.tfrecord"
     count = count_records(train)
+    if count < 2:
+        raise KeycldError(f"{train} has {count} recordings, too few for training and validation: copy it again.")
     kept = count - validation_count(count)
     examples = read_examples(train, features)
     _write(out, "train", itertools.islice(examples, kept), system, features)
@@ -61,8 +79,6 @@ def import_suite(folder: str | Path, out: str | Path | None = None) -> Path:
         _write(out, "test_long", read_examples(long / "test.tfrecord", longer), system, longer)
     recipe = {"system": system.name, "imported": source.name, "splits": []}
     finish(out, {"recipe": recipe, "seconds": round(time.monotonic() - began, 1)})
-    shutil.rmtree(partial)
-    return out
 
 
 def _system(folder: Path) -> AbstractSampledSystem:

@@ -4,19 +4,23 @@ A record is framed by its length and check-sums; an example is a protocol buffer
 floats or integers.
 """
 
-import ast
+import math
+import re
 import struct
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import imageio.v3
 import numpy as np
 from jaxtyping import Int64
 
 from keycld._errors import KeycldError
+from keycld._files import read_text
+from keycld.data.format.rules import LARGEST_RECORDING
+from keycld.drawing import load_image
 
 _POLYNOMIAL = 0x82F63B78  # of CRC-32C
+_FEATURE = re.compile(r"([\w/]{1,100}), (\((?:\d{1,9}, ?)*(?:\d{1,9})?\)), (u?int(?:8|16|32|64)|float(?:32|64))")
 _VARINT, _FIXED64, _BYTES, _FIXED32 = 0, 1, 2, 5
 
 
@@ -34,17 +38,20 @@ def read_features(path: Path) -> dict[str, Feature]:
         KeycldError: there is no such file, or a line is not of this form.
     """
     try:
-        lines = path.read_text().splitlines()
-    except OSError as error:
-        raise KeycldError(f"cannot read {path} ({error.strerror}): name the folder that holds features.txt.") from None
+        lines = read_text(path).splitlines()
+    except FileNotFoundError:
+        raise KeycldError(f"there is no {path}: name the folder that holds features.txt.") from None
     features = {}
     for line in filter(None, map(str.strip, lines)):
-        try:
-            name, rest = line.split(", ", 1)
-            shape, dtype = rest.rsplit(", ", 1)
-            features[name] = Feature(tuple(ast.literal_eval(shape)), np.dtype(dtype))
-        except (ValueError, SyntaxError, TypeError):
-            raise KeycldError(f"{path}: '{line}' is not of the form 'name, shape, type'.") from None
+        match = _FEATURE.fullmatch(line)
+        if match is None:
+            raise KeycldError(f"{path}: '{line[:60]}' is not of the form 'name, shape, type'.")
+        shape, dtype = tuple(int(n) for n in re.findall(r"\d+", match[2])), np.dtype(match[3])
+        if math.prod(shape) * dtype.itemsize > LARGEST_RECORDING:
+            raise KeycldError(f"{path}: '{line[:60]}' is larger than {LARGEST_RECORDING // 10**6} MB: copy it again.")
+        features[match[1]] = Feature(shape, dtype)
+    if missing := {"x", "image"} - features.keys():
+        raise KeycldError(f"{path} lacks the array '{min(missing)}': copy it again.")
     return features
 
 
@@ -61,8 +68,8 @@ def read_examples(path: Path, features: dict[str, Feature]) -> Iterator[dict[str
         try:
             found = _example(record)
             yield {name: _array(found[name], feature) for name, feature in features.items()}
-        except (KeyError, ValueError, IndexError, struct.error) as error:
-            raise KeycldError(f"{path}: record {number} is damaged ({error!r}): copy the file again.") from None
+        except Exception as error:  # a damaged record may break any step
+            raise KeycldError(f"{path}: record {number} is damaged ({error!r}): copy the file again.") from error
 
 
 def count_records(path: Path) -> int:
@@ -76,12 +83,15 @@ def count_records(path: Path) -> int:
 
 def _array(values: Any, feature: Feature) -> np.ndarray:
     if feature.dtype == np.uint8:
-        return imageio.v3.imread(values[0], extension=".png").reshape(feature.shape)
+        return load_image(values[0]).reshape(feature.shape)
     return values.view(feature.dtype).reshape(feature.shape)
 
 
 def _records(path: Path, contents: bool = True) -> Iterator[bytes]:
     try:
+        size = path.stat().st_size
+        if not path.is_file():
+            raise KeycldError(f"{path} is no regular file: copy it again.")
         file = open(path, "rb")  # noqa: SIM115
     except OSError as error:
         raise KeycldError(f"cannot read {path} ({error.strerror}): check the path.") from None
@@ -91,6 +101,8 @@ def _records(path: Path, contents: bool = True) -> Iterator[bytes]:
             if len(header) < 12 or struct.unpack("<I", header[8:])[0] != _masked(_crc32c(header[:8])):
                 raise KeycldError(f"{path} is not a whole TFRecord file, record {number} is damaged: copy it again.")
             (length,) = struct.unpack("<Q", header[:8])
+            if length > size:
+                raise KeycldError(f"{path} is truncated in record {number}: copy it again.")
             # The check-sum of the record itself is not compared: in Python that would take longer than all the rest.
             record = file.read(length) if contents else b""
             if not contents:
@@ -123,6 +135,8 @@ def _varint(data: memoryview, position: int) -> tuple[int, int]:
         if byte < 0x80:
             return value, position
         shift += 7
+        if shift > 63:
+            raise ValueError("an integer of more than 64 bits")
 
 
 def _message(data: memoryview) -> Iterator[tuple[int, Any]]:

@@ -1,19 +1,26 @@
 """Imports videos."""
 
+import contextlib
+import math
 import shutil
-import subprocess
+import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
 from keycld._errors import KeycldError
+from keycld._ffmpeg import FfmpegError, described, ffmpeg, input_options
+from keycld._files import copy_file, make_folder, writing_error
+from keycld._lock import alone
+from keycld._progress import Counted
 from keycld._version import __version__
 from keycld.data.describe.finish import finish
 from keycld.data.format.folder import CONSTRAINTS
+from keycld.data.format.rules import LARGEST_RECORDING
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.imports.claim import claim
@@ -74,30 +81,35 @@ def import_video(
         from keycld.mechanics import load_constraints
 
         load_constraints(constraints)
-    videos = [_read_video(source, size, fps, crop, skip) for source in sources]
-    rates = {round(rate, 3) for _, rate in videos}
-    if len(rates) > 1:
-        raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with fps.")
-    rate = videos[0][1]
-    recordings = np.concatenate([_cut(video, frames) for video, _ in videos])
-    counts = _counts(len(recordings), validation, test, frames)
-    partial = claim(out)
-    attributes = {
-        "system": out.resolve().name,
-        "dt": 1.0 / rate,
-        "seed": 0,
-        "input_names": (),
-        "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
-        "protocol": "import",
-    }
-    first = 0
-    for name, count in zip(_SPLITS, counts, strict=True):
-        write(out / f"{name}.h5", _trajectories(recordings[first : first + count], rate, attributes))
-        first += count
-    if constraints is not None:
-        shutil.copyfile(constraints, out / CONSTRAINTS)
-    finish(out, {"seconds": round(time.monotonic() - began, 1)})
-    shutil.rmtree(partial)
+    make_folder(out.parent)
+    # The pictures wait on the disk without a name, so that a video may be larger than memory and a kill leaves nothing.
+    with _spool_in(out.parent) as spool:
+        spans = [_decode(source, spool, size, fps, crop, skip, frames) for source in sources]
+        rates = {round(rate, 3) for _, rate in spans}
+        if len(rates) > 1:
+            raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with fps.")
+        total = sum(count for count, _ in spans)
+        counts = _counts(total, validation, test, frames)
+        recordings = np.memmap(spool, np.uint8, "r", shape=(total, frames, size, size, 3))
+        attributes = {
+            "system": out.resolve().name,
+            "dt": 1.0 / spans[0][1],
+            "seed": 0,
+            "input_names": (),
+            "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
+            "protocol": "import",
+        }
+        with alone(out):
+            partial = claim(out)
+            first = 0
+            for name, count in zip(_SPLITS, counts, strict=True):
+                chosen = recordings[first : first + count]
+                write(out / f"{name}.h5", _trajectories(chosen, spans[0][1], attributes))
+                first += count
+            if constraints is not None:
+                copy_file(Path(constraints), out / CONSTRAINTS)
+            finish(out, {"seconds": round(time.monotonic() - began, 1)})
+            shutil.rmtree(partial)
     return out
 
 
@@ -112,60 +124,91 @@ def _check_numbers(
         raise KeycldError(f"fps must be above 0, not {fps}.")
     if frames < 3:
         raise KeycldError(f"a recording needs at least 3 frames, not {frames}.")
+    if frames * size * size * 3 > LARGEST_RECORDING:
+        raise KeycldError(f"recordings of {frames} frames of {size} × {size} pixels are too large: make them smaller.")
     if not skip >= 0:
         raise KeycldError(f"skip must be a number of seconds of at least 0, not {skip}.")
     if not (validation >= 0 and test >= 0 and validation + test < 1):
         raise KeycldError(f"validation ({validation}) and test ({test}) are parts that leave some for training.")
 
 
-def _ffmpeg(path: Path, *arguments: str) -> bytes:
-    """Run ffmpeg and return its output; arguments of the input stand before "-i".
-
-    Raises:
-        KeycldError: it cannot decode all of the file.
-    """
-    import imageio_ffmpeg
-
-    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-nostdin", *arguments, "-"]
-    done = subprocess.run(command, capture_output=True, check=False)
-    if done.returncode != 0:
-        said = done.stderr.decode(errors="replace").strip().splitlines()
-        raise KeycldError(
-            f"{path} cannot be read as a video: convert it to MP4 first (ffmpeg: {said[-1] if said else 'no reason'})."
-        )
-    return done.stdout
-
-
-def _probe(path: Path) -> tuple[int, int, Fraction]:
-    """Read width, height and frames a second, as ffmpeg decodes the video (turned upright)."""
+def _probe(path: Path) -> tuple[int, int, Fraction, float]:
+    """Read width, height, frames a second as ffmpeg decodes the video (turned upright), and the seconds it claims."""
     # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
-    head = _ffmpeg(path, "-i", str(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe")
+    options = ["-v", "info", *input_options(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe", "-"]
+    try:
+        with ffmpeg(*options) as process:
+            head = process.read(200)
+            while process.read(2**20):
+                pass
+    except FfmpegError as error:
+        raise _unreadable(path, error) from error
     words = {word[:1]: word[1:] for word in head.split(b"\n")[0].decode("ascii", "replace").split()[1:]}
     try:
-        return int(words["W"]), int(words["H"]), Fraction(words["F"].replace(":", "/"))
+        rate = Fraction(words["F"].replace(":", "/"))
+        return int(words["W"]), int(words["H"]), rate, described(process.said)
     except (KeyError, ValueError, ZeroDivisionError) as error:
-        raise KeycldError(f"{path} cannot be read as a video: convert it to MP4 first.") from error
+        raise _unreadable(path, "it has no pictures") from error
 
 
-def _read_video(
-    path: Path, size: int, fps: float | None, crop: tuple[int, int, int, int] | None, skip: float
-) -> tuple[np.ndarray, float]:
-    """Read pictures uint8 [T, size, size, 3] and frames a second."""
+def _unreadable(path: Path, reason: Exception | str) -> KeycldError:
+    return KeycldError(f"{path} cannot be read as a video: convert it to MP4 first (ffmpeg: {reason}).")
+
+
+@contextlib.contextmanager
+def _spool_in(folder: Path) -> Iterator[IO[bytes]]:
+    """Yield a temporary file without a name."""
+    try:
+        with tempfile.TemporaryFile(dir=folder) as spool:
+            yield spool
+    except OSError as error:
+        raise writing_error(folder, error) from error
+
+
+def _decode(
+    path: Path,
+    spool: IO[bytes],
+    size: int,
+    fps: float | None,
+    crop: tuple[int, int, int, int] | None,
+    skip: float,
+    frames: int,
+) -> tuple[int, float]:
+    """Append the recordings uint8 [N, frames, size, size, 3] of a video to a file; return N and frames a second."""
     if not path.is_file():
         raise KeycldError(f"there is no video {path}: check the path.")
-    width, height, own = _probe(path)
+    width, height, own, seconds = _probe(path)
     rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
     if not 0 < rate <= own + Fraction(1, 1000):
         raise KeycldError(f"fps must be above 0 and at most the {float(own):g} of {path}, not {fps}.")
     left, top, side = _square(crop, width, height, path)
-    # The rate comes first: it also makes the uneven frame times of phones equal.
+    # The rate comes first: it also makes the uneven frame times of phones equal. A gap of years in them would give
+    # frames without end; no format spends less than some bytes on a frame of its own.
     filters = f"fps={rate},crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
-    raw = _ffmpeg(path, "-ss", str(skip), "-i", str(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo")
-    frame = size * size * 3
-    pictures = np.frombuffer(raw, np.uint8)[: len(raw) // frame * frame].reshape(-1, size, size, 3)
-    if not len(pictures):
+    most, frame, count = 10_000 + path.stat().st_size // 8, size * size * 3, 0
+    expected = math.ceil(max(0.0, seconds - skip) * rate)
+    progress = Counted(path.name[:12])
+    options = [*input_options(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo", "-"]
+    try:
+        with ffmpeg("-v", "error", "-ss", str(skip), *options) as process:
+            while len(picture := process.read(frame)) == frame:
+                spool.write(picture)
+                count += 1
+                if count > most:
+                    raise KeycldError(
+                        f"{path} gives more than {most} frames, too many for its size: its frame times are damaged, so "
+                        "convert it to MP4 first, or give a lower fps."
+                    )
+                if count < expected:
+                    progress(count, expected)
+    except FfmpegError as error:
+        raise _unreadable(path, error) from error
+    if not count:
         raise KeycldError(f"{path} holds no frame after {skip:g} s: skip less.")
-    return pictures, float(rate)
+    progress(count, count)
+    spool.seek(-(count % frames) * frame, 2)
+    spool.truncate()
+    return count // frames, float(rate)
 
 
 def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, path: Path) -> tuple[int, int, int]:
@@ -179,11 +222,6 @@ def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, pat
     if crop_width < 1 or min(left, top) < 0 or left + crop_width > width or top + crop_height > height:
         raise KeycldError(f"the crop {crop} does not lie inside the {width} x {height} pixels of {path}.")
     return left, top, crop_width
-
-
-def _cut(video: np.ndarray, frames: int) -> np.ndarray:
-    count = len(video) // frames
-    return video[: count * frames].reshape(count, frames, *video.shape[1:])
 
 
 def _counts(recordings: int, validation: float, test: float, frames: int) -> tuple[int, int, int]:

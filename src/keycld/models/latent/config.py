@@ -1,16 +1,16 @@
 """What all models of the family share: how images become a latent vector, and how they are trained."""
 
 import dataclasses
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from keycld._errors import KeycldError, unknown
 from keycld.models.config import ModelConfig, at_least_one
 from keycld.models.scene import Scene
 
 if TYPE_CHECKING:
-    from keycld.stages import Stage
+    from keycld.stages import AbstractLoss, AbstractStatefulLoss, Stage
 
-REGIMES = ("forward", "forward_backward")
+REGIMES = ("forward", "forward_backward", "given")
 OBJECTIVES = ("elbo", "geco")
 PARTS = ("window", "frame")
 
@@ -19,12 +19,17 @@ PARTS = ("window", "frame")
 class LatentConfig(ModelConfig):
     """The variational autoencoder of "Which priors matter?" around latent dynamics."""
 
+    REVERSIBLE: ClassVar[bool] = True
+    """Whether the dynamics run backward."""
+
     given: int = 5
     """Consecutive frames that the encoder sees, stacked as channels; a prediction starts from as many."""
     latent: int = 32
     """Size of the latent vector; even."""
     channels: int = 64
     """Channels of the convolutions."""
+    taper: bool = False
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     hidden: int = 250
     """Units of a hidden layer of the dynamics' networks."""
     depth: int = 4
@@ -33,10 +38,13 @@ class LatentConfig(ModelConfig):
     """Time between two frames in the dynamics' own unit, whatever the data's dt."""
     regime: str = "forward"
     """Direction of training. `forward`: the state belongs to the last given frame. `forward_backward`: it belongs to
-    the middle one, and half of the windows are rolled out from their first frames, half from their last ones."""
+    the middle one, and half of the windows are rolled out from their first frames, half from their last ones. `given`:
+    it belongs to the last given frame, and the motion is rolled back over the given frames, which alone are targets."""
     targets: int = 60
     """Target frames of a training window: in regime `forward` from the last given frame on; in `forward_backward` after
     the given ones, which are targets too. Shorter trajectories are used whole."""
+    rendered: int = 0
+    """Random target frames of each window that a step renders and compares; 0: all of them."""
     objective: str = "elbo"
     """What is minimised. `elbo`: −log-likelihood plus `beta` times the KL divergence. `geco`: the KL divergence, with
     the mean squared error held at `kappa`."""
@@ -65,6 +73,8 @@ class LatentConfig(ModelConfig):
                 raise unknown(name, getattr(self, name), choices)
         if self.latent < 2 or self.latent % 2:
             raise KeycldError(f"setting latent is an even number of at least 2, not {self.latent}.")
+        if self.regime != "forward" and not self.REVERSIBLE:
+            raise KeycldError(f"model {self.model} cannot run backward, so its regime is forward, not {self.regime}.")
         if self.both_ways and (self.given % 2 == 0 or self.batch < 2):
             raise KeycldError(
                 "regime forward_backward takes an odd number of given frames, which have a middle, and a batch of 2 or "
@@ -86,38 +96,127 @@ class LatentConfig(ModelConfig):
         """Which given frame the state belongs to."""
         return self.given // 2 if self.both_ways else self.given - 1
 
-    def window(self, scene: Scene) -> int:
+    @property
+    def given_are_targets(self) -> bool:
+        """Whether the frames before the state's are targets too."""
+        return self.regime != "forward"
+
+    def window(self, scene: Scene, targets: int | None = None) -> int:
         """Return how many frames a training window has.
+
+        Args:
+            scene: sizes of the data.
+            targets: target frames; by default those of the settings.
 
         Raises:
             KeycldError: the trajectories have no frames besides the given ones.
         """
+        if self.regime == "given" and scene.frames >= self.given:
+            return self.given
         if scene.frames <= self.given:
             raise KeycldError(
                 f"this model is given {self.given} frames and needs more to train on, but trajectories have "
                 f"{scene.frames}: make longer ones or set given to fewer."
             )
         # The anchor is a target too, and so are all given frames where training rolls out backward.
-        return min(self.targets + (self.given if self.both_ways else self.anchor), scene.frames)
+        begin = self.given if self.both_ways else self.anchor
+        return min((self.targets if targets is None else targets) + begin, scene.frames)
+
+    def loss(self, scene: Scene) -> "AbstractLoss | AbstractStatefulLoss":
+        """Return what every stage minimises."""
+        from keycld.models.latent.losses import ELBOLoss, GECOLoss, Targets
+
+        at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
+        targets = Targets(self.both_ways, self.given_are_targets, self.rendered, at_once)
+        if self.objective == "geco":
+            return GECOLoss(self.kappa, self.rate, targets)
+        return ELBOLoss(self.beta, self.kl_against == "frame", targets)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return one stage that trains everything, with a validation score at its end."""
         from keycld.data import Windows
-        from keycld.models.latent.losses import ELBOLoss, GECOLoss
         from keycld.stages import Group, Stage
 
-        at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
-        if self.objective == "geco":
-            loss = GECOLoss(self.kappa, self.rate, self.both_ways, at_once)
-        else:
-            loss = ELBOLoss(self.beta, self.kl_against == "frame", self.both_ways, at_once)
         return (
             Stage(
                 name="train",
                 steps=self.steps,
                 sampler=Windows(self.batch, self.window(scene)),
-                loss=loss,
+                loss=self.loss(scene),
                 groups=(Group("model", lambda m: m, self.rate),),
                 validate=True,
             ),
+        )
+
+
+@dataclasses.dataclass(frozen=True)
+class PaperSettings(LatentConfig):
+    """What the text of "Which priors matter?" says otherwise than its code, for every model of the family."""
+
+    rate: float = 5e-4
+    """Learning rate of Adam."""
+    kl_against: str = "frame"
+    """Next to which likelihood `beta` weighs the KL divergence. `window`: that of all frames, as in the released code.
+    `frame`: that of one frame, the mean over the window, as in eq. (3)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FastSettings(LatentConfig):
+    """Our recipe for every model of the family: a small decoder, few rendered frames, horizons that grow."""
+
+    beta: float = 0.1
+    """Weight of the KL divergence in `elbo`."""
+    taper: bool = True
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
+    rendered: int = 8
+    """Random target frames of each window that a step renders and compares; 0: all of them."""
+    rate: float = 1.5e-3
+    """Learning rate of Adam: constant while horizons grow, then annealed along half a cosine."""
+    batch: int = 16
+    """Windows a step."""
+    steps: int = 10_000
+    """Optimiser steps of all stages together."""
+    horizons: tuple[int, ...] = (8, 24)
+    """Frames that the first stages predict; the last stage predicts all targets."""
+    shares: tuple[float, ...] = (0.06, 0.14)
+    """Shares of the steps that the first stages take; the last stage takes the rest."""
+    warmup: float = 0.03
+    """Share of the steps of each stage in which the rate rises from zero: each begins with a fresh Adam."""
+    final: float = 0.02
+    """Last rate of the last stage, as a share of `rate`."""
+    clip: float = 1.0
+    """Largest norm of a gradient; larger ones are scaled down to it."""
+
+    def __post_init__(self) -> None:
+        """Refuse stages that do not fit together."""
+        super().__post_init__()
+        if len(self.horizons) != len(self.shares) or sum(self.shares) >= 1:
+            raise KeycldError(
+                "horizons and shares have one number for each of the first stages, and the shares' sum is below 1, not "
+                f"{self.horizons} and {self.shares}."
+            )
+
+    def stages(self, scene: Scene) -> "tuple[Stage, ...]":
+        """Return one stage for each horizon, and a validation score at the end."""
+        from functools import partial
+
+        from keycld.data import Windows
+        from keycld.stages import Group, Stage, warmup_cosine
+
+        first = [round(share * self.steps) for share in self.shares]
+        counts = [*first, self.steps - sum(first)]
+        return tuple(
+            Stage(
+                name="horizon-all" if last else f"horizon-{targets - 1}",
+                steps=count,
+                sampler=Windows(self.batch, self.window(scene, targets)),
+                loss=self.loss(scene),
+                groups=(Group("model", lambda m: m, self.rate),),
+                schedule=partial(warmup_cosine, warmup=self.warmup, final=self.final if last else 1.0),
+                clip=self.clip,
+                validate=last,
+            )
+            for last, targets, count in zip(
+                [*[False] * len(first), True], [*(h + 1 for h in self.horizons), self.targets], counts, strict=True
+            )
         )

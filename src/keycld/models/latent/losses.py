@@ -20,6 +20,23 @@ from keycld.vision import ImageDecoder, mean_in_chunks
 HALF_LOG_PI = 0.5 * math.log(math.pi)
 
 
+class Targets(NamedTuple):
+    """Which frames of a window are compared with rendered ones.
+
+    Attributes:
+        both_ways: False: the encoder sees the first frames of each window. True: for the second half of the batch it
+            sees the last ones, in the order of time, and motions run backward from there.
+        given: whether frames before the state's are targets too.
+        rendered: how many random targets of each window are rendered; 0 for all.
+        at_once: frames that are rendered in parallel.
+    """
+
+    both_ways: bool
+    given: bool
+    rendered: int
+    at_once: int
+
+
 class Reconstruction(NamedTuple):
     """How well windows are rendered from their latent vectors.
 
@@ -28,7 +45,7 @@ class Reconstruction(NamedTuple):
         kl: divergence of the posterior from the prior, nats, mean over windows.
         frames: T, target frames of a window.
         values: S, values of a window's target frames.
-        statistics: of the posterior, for the log.
+        statistics: of posterior and decoder, for the log.
     """
 
     squared_error: Float[Array, ""]
@@ -44,20 +61,18 @@ class ELBOLoss(AbstractLoss):
     Attributes:
         beta: β. The benchmark tries 0.001, 0.1, 1 and 2.
         per_frame: β KL T / S instead: the likelihood counts as a mean over frames, as eq. (3) prints it.
-        both_ways: see `reconstruct`.
-        at_once: see `reconstruct`.
+        targets: which frames are compared.
     """
 
     beta: float
     per_frame: bool
-    both_ways: bool
-    at_once: int
+    targets: Targets
 
     def __call__(
         self, model: AbstractLatentModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
         """Evaluate the loss on windows of consecutive frames."""
-        found = reconstruct(model, clips, key, self.both_ways, self.at_once)
+        found = reconstruct(model, clips, key, self.targets)
         weight = self.beta * (found.frames if self.per_frame else 1) / found.values
         return _likelihood(found) + weight * found.kl, _terms(found)
 
@@ -71,14 +86,12 @@ class GECOLoss(AbstractStatefulLoss):
     Attributes:
         kappa: κ, the error that is asked for.
         rate: learning rate of v.
-        both_ways: see `reconstruct`.
-        at_once: see `reconstruct`.
+        targets: which frames are compared.
     """
 
     kappa: float
     rate: float
-    both_ways: bool
-    at_once: int
+    targets: Targets
 
     def initial(self) -> Any:
         """Return v = ln(e − 1) and the state of its Adam."""
@@ -89,7 +102,7 @@ class GECOLoss(AbstractStatefulLoss):
         self, model: AbstractLatentModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""], memory: Any
     ) -> tuple[Float[Array, ""], Terms, Any]:
         """Evaluate the loss on windows of consecutive frames, and move λ."""
-        found = reconstruct(model, clips, key, self.both_ways, self.at_once)
+        found = reconstruct(model, clips, key, self.targets)
         raw, constraint = memory["raw"], found.squared_error - self.kappa
         multiplier = jax.nn.softplus(raw)
         # Ascent: Adam descends along the negative gradient of λ C.
@@ -100,25 +113,20 @@ class GECOLoss(AbstractStatefulLoss):
         return loss, terms, {"raw": raw + update, "adam": adam}
 
 
-def reconstruct(
-    model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, both_ways: bool, at_once: int
-) -> Reconstruction:
+def reconstruct(model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, targets: Targets) -> Reconstruction:
     """Sample a latent vector for each window and render the window from it.
 
     Args:
         model: any model of the family.
-        clips: windows of consecutive frames, longer than what the model is given.
+        clips: windows of consecutive frames, at least as long as what the model is given.
         key: of the samples.
-        both_ways: False: the encoder sees the first frames of each window, and the frames from the anchor on are
-            targets. True: for the second half of the batch it sees the last frames, in the order of time, and motions
-            run backward from there; all frames are targets.
-        at_once: frames that are rendered in parallel.
+        targets: which frames are compared.
     """
     assert clips.frames is not None
     batch, length, height, width, _ = clips.frames.shape
     halves = [(slice(0, batch // 2), 0), (slice(batch // 2, batch), length - model.given)]
     posteriors, states = [], []
-    for part, first in halves if both_ways else [(slice(0, batch), 0)]:
+    for part, first in halves if targets.both_ways else [(slice(0, batch), 0)]:
         posterior = jax.vmap(model.posterior)(clips.frames[part, first : first + model.given])
         noise = jax.random.normal(jax.random.fold_in(key, first), posterior.mean.shape)
         latent = posterior.mean + posterior.deviation * noise
@@ -129,22 +137,28 @@ def reconstruct(
 
         states.append(jax.vmap(motion)(latent, clips.u[part], clips.dt[part]))
         posteriors.append(posterior)
-    earliest = 0 if both_ways else model.anchored
-    visible = jnp.concatenate(states)[:, earliest:]
-    targets = clips.frames[:, earliest:]
+    earliest = 0 if targets.given else model.anchored
+    visible, frames = jnp.concatenate(states)[:, earliest:], clips.frames[:, earliest:]
+    count = length - earliest
+    if 0 < targets.rendered < count:
+        # A key of its own: halves use the number of a frame of the window.
+        keys = jax.random.split(jax.random.fold_in(key, length), batch)
+        chosen = jax.vmap(lambda k: jax.random.choice(k, count, (targets.rendered,), replace=False))(keys)
+        visible, frames = (jax.vmap(lambda window, k: window[k])(each, chosen) for each in (visible, frames))
 
     def squared_error(decoder: ImageDecoder, pair: tuple[Array, Array]) -> Array:
         shown, frame = pair
         return jnp.mean((decoder(shown) - frame) ** 2)
 
-    flat = (visible.reshape(-1, visible.shape[-1]), targets.reshape(-1, height, width, 3))
+    flat = (visible.reshape(-1, visible.shape[-1]), frames.reshape(-1, height, width, 3))
     posterior = Gaussian(*(jnp.concatenate(part) for part in zip(*posteriors, strict=True)))
+    error = mean_in_chunks(squared_error, model.decoder, flat, targets.at_once)
     return Reconstruction(
-        squared_error=mean_in_chunks(squared_error, model.decoder, flat, at_once),
+        squared_error=error,
         kl=jnp.mean(jax.vmap(divergence)(posterior)),
-        frames=length - earliest,
-        values=(length - earliest) * height * width * 3,
-        statistics=posterior_statistics(posterior),
+        frames=count,
+        values=count * height * width * 3,
+        statistics=posterior_statistics(posterior) | {"explained": 1.0 - error / jnp.mean(jnp.var(flat[1], axis=0))},
     )
 
 

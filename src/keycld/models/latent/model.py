@@ -1,7 +1,7 @@
 """The chassis: frames → latent vector → dynamics → frames. A model adds what the latent vector means."""
 
 from abc import abstractmethod
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -10,7 +10,11 @@ from jaxtyping import Array, Float
 from keycld.mechanics import FirstOrderDynamics, HamiltonianDynamics, MechanicalDynamics, State
 from keycld.models.base import AbstractModel
 from keycld.models.checks import check_inputs, check_size
-from keycld.vision import ImageDecoder, ImageEncoder
+from keycld.models.scene import Scene
+from keycld.vision import ImageDecoder, ImageEncoder, MapEncoder
+
+if TYPE_CHECKING:
+    from keycld.models.latent.config import LatentConfig
 
 
 class Gaussian(NamedTuple):
@@ -41,7 +45,7 @@ class AbstractLatentModel(AbstractModel):
         inputs: l.
     """
 
-    encoder: ImageEncoder
+    encoder: ImageEncoder | MapEncoder
     dynamics: HamiltonianDynamics | FirstOrderDynamics | MechanicalDynamics
     decoder: ImageDecoder
     given: int = eqx.field(static=True)
@@ -95,9 +99,9 @@ class AbstractLatentModel(AbstractModel):
         return self.decoder(self.visible(state))
 
 
-def vision(
-    size: tuple[int, int], given: int, latent: int, visible: int, channels: int, keys: Array
-) -> tuple[ImageEncoder, ImageDecoder]:
-    """Build an encoder to the distribution of `latent` numbers, and a decoder of `visible` ones, from two keys."""
-    encoder = ImageEncoder(size, 3 * given, 2 * latent, channels, key=keys[0])
-    return encoder, ImageDecoder(size, visible, latent // 2, channels, key=keys[1])
+def vision(config: "LatentConfig", scene: Scene, visible: int, keys: Array) -> tuple[ImageEncoder, ImageDecoder]:
+    """Build an encoder to the distribution of the latent vector, and a decoder of `visible` numbers, from two keys."""
+    size, channels = (scene.height, scene.width), config.channels
+    encoder = ImageEncoder(size, 3 * config.given, 2 * config.latent, channels, key=keys[0])
+    decoder = ImageDecoder(size, visible, config.latent // 2, channels, taper=config.taper, key=keys[1])
+    return encoder, decoder

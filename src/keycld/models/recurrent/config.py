@@ -30,10 +30,14 @@ class RecurrentConfig(ModelConfig):
     """Numbers that a picture is encoded to, and units of the last cell; even."""
     channels: int = 64
     """Channels of the convolutions."""
+    taper: bool = False
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     given: int = 5
     """Frames that a prediction starts from, at least; with more of them, all are used."""
     window: int = 60
     """Frames of a training window; shorter trajectories are used whole."""
+    rendered: int = 0
+    """Random predicted frames of each window that a step renders and compares; 0: all of them."""
     rate: float = 1.5e-4
     """Learning rate of Adam."""
     steps: int = 500_000
@@ -77,7 +81,7 @@ class RecurrentConfig(ModelConfig):
                 name="train",
                 steps=self.steps,
                 sampler=Windows(self.batch, min(self.window, scene.frames)),
-                loss=NextFrameLoss(at_once),
+                loss=NextFrameLoss(self.rendered, at_once),
                 groups=(Group("model", lambda m: m, self.rate),),
                 validate=True,
             ),

@@ -122,7 +122,7 @@ def build(config: "RecurrentConfig", scene: Scene, key: PRNGKeyArray) -> AR:
     return AR(
         encoder=ImageEncoder(size, 3, latent, config.channels, key=keys[0]),
         stack=Stack(config.cell, latent + scene.inputs, sizes, key=keys[1]),
-        decoder=ImageDecoder(size, latent, latent // 2, config.channels, key=keys[2]),
+        decoder=ImageDecoder(size, latent, latent // 2, config.channels, taper=config.taper, key=keys[2]),
         given=config.given,
         inputs=scene.inputs,
     )

@@ -39,7 +39,7 @@ def import_mujoco() -> Any:
     try:
         import mujoco
     except ModuleNotFoundError as error:
-        raise KeycldError("this system needs MuJoCo: install it with pip install mujoco.") from error
+        raise KeycldError("this system needs MuJoCo: install it with pip install 'keycld[envs]'.") from error
     except Exception as error:  # every GL library fails in its own way
         raise no_gl(error) from error
     return mujoco

@@ -26,3 +26,22 @@ class PaperAR(RecurrentConfig):
     """Recurrent cells, one after the other."""
     rate: float = 5e-4
     """Learning rate of Adam."""
+
+
+@register_preset("fast", "ar")
+@dataclasses.dataclass(frozen=True)
+class FastAR(RecurrentConfig):
+    """AR with what our recipe of the latent models changes: a small decoder, few rendered frames, small batches."""
+
+    cell: str = "lstm"
+    """Kind of the recurrent cells: `vanilla`, `lstm` or `gru`."""
+    taper: bool = True
+    """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
+    rendered: int = 8
+    """Random predicted frames of each window that a step renders and compares; 0: all of them."""
+    rate: float = 5e-4
+    """Learning rate of Adam."""
+    batch: int = 16
+    """Windows a step."""
+    steps: int = 10_000
+    """Optimiser steps."""

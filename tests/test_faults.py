@@ -1,0 +1,290 @@
+"""Hostile files, full disks and kills: the quick part of `validation/faults`."""
+
+import fcntl
+import json
+import os
+import resource
+import runpy
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from data.sample import sample
+from keycld import KeycldError
+from keycld._files import checked_name, read_bytes, write_text
+from keycld._records import Name, Unexpected, checked, read_arrays
+from keycld.cli.main import main
+from keycld.data import check, import_video, read, write
+from keycld.data.format.hdf5 import create_file
+from keycld.drawing import load_image, save_image, save_movie
+from keycld.reports import html
+
+REPOSITORY = Path(__file__).parent.parent
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../a", "/a", "a\\b", "a\0b", "a\nb", "a" * 101, 3, None])
+def test_a_name_cannot_lead_to_another_folder(name):
+    with pytest.raises(KeycldError, match="a name has 1 to 100"):
+        checked_name(name, "a.h5")
+
+
+def test_names_of_results_are_names():
+    for name in ("test@50-given-5", "rotation", "zoo four", "α"):
+        assert checked_name(name, "a.h5") == name
+
+
+def test_devices_and_folders_are_not_replaced(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "null").symlink_to("/dev/null")
+    for name in ("pipe", "folder", "null"):
+        with pytest.raises(KeycldError, match="stays as it is"):
+            write_text(tmp_path / name, "")
+    with pytest.raises(KeycldError, match="no regular file"):
+        read_bytes(tmp_path / "pipe")
+
+
+def test_what_a_dead_process_left_is_removed_and_a_living_one_keeps_its_own(tmp_path):
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    host = os.uname().nodename
+    names = (f".a.{dead.pid}@{host}.partial", f".a.{dead.pid}.partial", f".a.{os.getppid()}@{host}.partial",
+             f".a.{dead.pid}@elsewhere.partial", f".ab.{dead.pid}@{host}.partial")  # fmt: skip
+    for name in names:
+        (tmp_path / name).mkdir()
+    write_text(tmp_path / "a", "")
+    assert sorted(os.listdir(tmp_path)) == sorted(["a", *names[2:]])
+
+
+@pytest.fixture
+def small_files():
+    """No file may become larger than 20 kB, as on a disk that fills up."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+NOISE = np.random.default_rng(0).integers(0, 255, (40, 64, 64, 3), np.uint8)
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.png", "a.mp4", "a.gif", "a.txt"])
+def test_a_disk_that_fills_up_leaves_the_old_file(tmp_path, small_files, name):
+    path = tmp_path / name
+    path.write_text("old")
+    with pytest.raises(KeycldError, match="larger than|disk is full|cannot write"):
+        if name == "a.h5":
+            with create_file(path) as file:
+                for k in range(40):
+                    file.create_dataset(str(k), data=NOISE[k])
+        elif name == "a.png":
+            save_image(path, np.concatenate(NOISE))
+        elif name == "a.txt":
+            write_text(path, "long " * 10_000)
+        else:
+            save_movie(path, NOISE, scale=1)
+    assert path.read_text() == "old" and os.listdir(tmp_path) == [name]
+
+
+def spoil(path, change):
+    write(path, sample())
+    with h5py.File(path, "r+") as file:
+        change(file)
+
+
+def external(file):
+    del file["image"]
+    file.create_dataset("image", (3, 5, 8, 8, 3), "u1", external=[("/etc/passwd", 0, 2880)])
+
+
+def linked(file):
+    del file["image"]
+    file["image"] = h5py.ExternalLink("/etc/passwd", "/image")
+
+
+def virtual(file):
+    del file["state"]
+    layout = h5py.VirtualLayout((3, 5, 4), "f8")
+    layout[:] = h5py.VirtualSource("other.h5", "state", (3, 5, 4))
+    file.create_virtual_dataset("state", layout)
+
+
+def huge(file):
+    del file["image"]
+    file.create_dataset("image", (10**9, 5, 8, 8, 3), "u1", chunks=(1, 5, 8, 8, 3))
+
+
+def wide(file):
+    del file["input"]
+    file.create_dataset("input", (3, 10**9), "f4", chunks=(1, 1000))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(external, "in other files"), (linked, "is a link"), (virtual, "in other files"), (huge, "claims"),
+     (wide, "claims")],
+)  # fmt: skip
+def test_a_data_file_reads_no_other_and_claims_no_more_than_it_holds(tmp_path, change, words):
+    spoil(tmp_path / "a.h5", change)
+    assert words in check(tmp_path / "a.h5")[0]
+    with pytest.raises(KeycldError, match=words):
+        read(tmp_path / "a.h5")
+
+
+def test_records():
+    assert checked({"a": 1}, dict[str, float]) == {"a": 1.0}
+    for value, kind in (("1", int), (True, int), (1e400, float), ({"a": "b"}, dict[str, int]), ([1], tuple[int, int])):
+        with pytest.raises(Unexpected):
+            checked(value, kind)
+    with pytest.raises(KeycldError):
+        checked("../a", Name, "x")
+
+
+def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
+    header = b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000, 8), }".ljust(117) + b"\n"
+    import zipfile
+
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("a.npy", b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)
+    with pytest.raises(KeycldError, match="claims"):
+        read_arrays(tmp_path / "a.npz", {}, "make it again")
+
+
+def test_a_picture_that_claims_too_many_pixels_is_refused(tmp_path):
+    from PIL import Image
+
+    Image.new("1", (60_000, 60_000)).save(tmp_path / "bomb.png")
+    with pytest.raises(KeycldError, match="pixels|cannot be read"):
+        load_image(tmp_path / "bomb.png")
+
+
+@pytest.mark.parametrize("address", ["http:/127.0.0.1:9/a.mp4", "pipe:0", "concat:a|b"])
+def test_a_video_is_a_file(address, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(KeycldError, match="there is no video"):
+        import_video(address, "out")
+
+
+def test_a_playlist_opens_no_other_file(tmp_path):
+    save_movie(tmp_path / "a.mp4", NOISE, scale=1)
+    (tmp_path / "list.mp4").write_text("#EXTM3U\n#EXTINF:1,\na.mp4\n#EXT-X-ENDLIST\n")
+    (tmp_path / "more.mp4").write_text("ffconcat version 1.0\nfile a.mp4\n")
+    for name in ("list.mp4", "more.mp4"):
+        with pytest.raises(KeycldError, match="cannot be read as a video"):
+            import_video(tmp_path / name, tmp_path / "out", frames=5)
+
+
+def test_text_in_a_page_is_escaped():
+    assert "<" not in html.text("<script>\x1b") and "\x1b" not in html.text("\x1b")
+
+
+def test_an_unforeseen_error_is_one_sentence(monkeypatch, capsys, tmp_path):
+    import keycld.data
+
+    def breaks(path):
+        raise ZeroDivisionError("a\nb")
+
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr("tempfile.tempdir", None)
+    monkeypatch.setattr(keycld.data, "check", breaks)
+    assert main(["data", "check", "x"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("keycld: ZeroDivisionError (a)") and said.count("\n") == 1
+    [log] = tmp_path.glob("keycld-*.log")
+    assert "Traceback" in log.read_text()
+    assert main(["data", "check", "x", "--debug"]) == 2 and "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("pause", [0.4, 1.2, 3.0])
+def test_a_signal_ends_the_command_without_a_traceback(tmp_path, number, code, pause):
+    # A shell's background job ignores interrupts, and so would these tests in one.
+    command = ["env", "--default-signal=INT", sys.executable]
+    command += ["-m", "keycld.cli.main", "data", "make", "toy/pendulum", "--out", "data"]
+    process = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True)
+    time.sleep(pause)
+    process.send_signal(number)
+    _, said = process.communicate(timeout=20)
+    assert "Traceback" not in said
+    # Before the first line of ours Python itself ends, as every program.
+    assert process.returncode in (code, -number) and (pause < 1 or process.returncode == code)
+
+
+@pytest.mark.parametrize("moment", range(1, 8))
+def test_a_kill_at_a_write_leaves_the_old_file_or_the_new_one(tmp_path, moment):
+    """The process dies before the n-th call of the operating system that changes files."""
+    (tmp_path / "a.txt").write_text("old")
+    code = (
+        "import os, shutil, sys, pathlib\n"
+        "from keycld import _files\n"
+        "left = int(sys.argv[2])\n"
+        "def dies(event, arguments):\n"
+        "    global left\n"
+        "    if event in ('os.mkdir', 'os.rename', 'os.remove', 'os.rmdir', 'shutil.rmtree')"
+        " or event == 'open' and arguments[2] & (os.O_WRONLY | os.O_RDWR):\n"
+        "        left -= 1\n"
+        "        if left == 0: os.kill(os.getpid(), 9)\n"
+        "sys.addaudithook(dies)\n"
+        "_files.write_text(pathlib.Path(sys.argv[1]), 'new')\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "a.txt"), str(moment)], check=False)
+    assert (tmp_path / "a.txt").read_text() in ("old", "new")
+    write_text(tmp_path / "a.txt", "newer")
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_damaged_files_give_one_sentence(tmp_path, monkeypatch, capsys):
+    """A small, fixed part of the campaign's cases."""
+    monkeypatch.syspath_prepend(str(REPOSITORY))
+    from validation.faults.mutate import damage
+
+    folder = tmp_path / "data"
+    for seed in range(60):
+        name = ("train.h5", "statistics.json")[seed % 2]
+        for split in ("train", "validation"):
+            if (folder / f"{split}.h5").is_dir():
+                (folder / f"{split}.h5").rmdir()
+            write(folder / f"{split}.h5", sample())
+        if (folder / "statistics.json").is_dir():
+            (folder / "statistics.json").rmdir()
+        split = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
+        (folder / "statistics.json").write_text(json.dumps({"splits": {"train": split}}))
+        done = damage(folder / name, seed)
+        code = main(["data", "check", str(folder)])
+        said = capsys.readouterr().err
+        assert code in (0, 2) and "did not foresee" not in said, (seed, done, said)
+        assert (code == 2) == ("keycld: " in said)
+
+
+def test_a_second_process_waits_for_the_lock(tmp_path):
+    from keycld._lock import alone
+
+    with alone(tmp_path), (tmp_path / ".lock").open() as file, pytest.raises(BlockingIOError):
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+def test_the_bill_of_materials_has_every_pinned_package():
+    lock = (REPOSITORY / "requirements.lock").read_text()
+    parts = runpy.run_path(str(REPOSITORY / "scripts" / "bill_of_materials.py"))["bill"](lock)["components"]
+    pinned = [line.split(" ")[0] for line in lock.splitlines() if "==" in line and not line.startswith(("#", " "))]
+    assert [f"{part['name']}=={part['version']}" for part in parts] == pinned
+    assert sum(len(part["externalReferences"]) for part in parts) == lock.count("--hash=sha256:")
+    assert "index-url http" not in lock
+
+
+def test_a_lock_on_a_full_disk_is_one_sentence(tmp_path):
+    from keycld._lock import alone
+
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(KeycldError, match="larger than"), alone(tmp_path):
+            pass
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
