@@ -95,11 +95,28 @@ def test_both_kinds_of_motion_have_smaller_errors_than_under_either_rule(pendulu
     assert errors(-float(DT) * 9.81 * jnp.sin(angle))[1] > 20 * moving
 
 
-def test_a_fast_motion_keeps_its_observed_velocity(pendulum):
+def test_a_fast_motion_against_gravity_keeps_its_observed_velocity(pendulum):
+    """It cannot have begun at rest; a falling one may have."""
     known = VelocityPrior(DT, jnp.array(0.01), jnp.array(OBSERVATION), jnp.array(2.0))
-    fast = states(angles(20), jnp.full(20, 3.0))
+    fast = states(angles(20), 3.0 * jnp.sign(angles(20)))
     found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(fast)
     np.testing.assert_allclose(found.coordinates.v, fast.coordinates.v, atol=2e-3)
+
+
+@pytest.mark.parametrize("frames", [2, 5, 10, 16])
+def test_a_motion_taken_up_after_rest_is_not_pulled_back_to_it(pendulum, frames):
+    """Errors are not larger than those of the observed velocity, however long ago the rest was."""
+    known = VelocityPrior(DT, jnp.array(0.01), jnp.array(OBSERVATION), jnp.array(2.0))
+    taken = after_rest(pendulum, angles(400), frames)
+    true = rates(taken)
+    error = OBSERVATION * jax.random.normal(jax.random.key(2), (400,))
+    x, v = taken.coordinates
+    tangent = jnp.stack([-x[:, 1], x[:, 0]], -1)
+    seen = State(Motion(x, v + error[:, None] * tangent), taken.parameters)
+    found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(seen)
+    off = rates(found) - true
+    assert float(jnp.sqrt(jnp.mean(off**2))) < 1.15 * OBSERVATION
+    assert abs(float(jnp.mean(off * jnp.sign(true)))) < 0.35 * OBSERVATION
 
 
 def test_before_anything_is_measured_nothing_changes(pendulum):

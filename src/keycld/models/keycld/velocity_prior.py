@@ -3,31 +3,38 @@
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, State
 
 # ν. Observation errors have heavy tails: on acrobot and cartpole their quantiles are those of Student's t with 4.
 _TAIL = 4
+# Times since rest in units of τ. The first is what the recordings show; the others are motions taken up later.
+_TIMES = np.array([1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0])
+# The prior probability of the first time is one half of that of an arbitrary velocity; the later ones share as much.
+_WEIGHTS = np.array([0.5, *(0.5 / 7,) * 7])
 
 
 class VelocityPrior(eqx.Module):
     """The prior of the initial velocity: most recordings of a mechanism show it released from rest, or nearly so.
 
-    A motion that was at rest a time τ before its first frame has the initial velocity v ≈ τ a, where a(x, u) is the
-    learned acceleration at rest; a recording from the middle of a motion has any initial velocity. Two frames alone
+    A motion that was at rest a short time t before its first frame has the initial velocity v ≈ t a, where a(x, u) is
+    the learned acceleration at rest; a recording from the middle of a motion has any initial velocity. Two frames alone
     give the velocity to a few hundredths of a pixel a frame, and this error limits how long a prediction is valid.
-    Bayes' rule, approximated, with n degrees of freedom and equal prior probability of both kinds:
+    Bayes' rule, approximated, with n degrees of freedom and the times t_j = k_j τ, k = 1, 2, 3, 4, 6, 8, 11, 16:
 
-        v = τ a + b,  b ~ N(0, σ_b²)   or   v ~ N(0, σ_v²);      v_s = v + e,  e ~ Student's t_ν(0, σ_s²)
-        d = v_s − τ a,   s² = σ_s² + σ_b²
-        r = P(released | v_s) = 1 / (1 + (1 + |d|²/νs²)^((ν+n)/2) (s/σ_v)ⁿ exp(−|v_s|²/2σ_v²))
-        v̂ = v_s − r w σ_s² / (w σ_s² + σ_b²) d,   w = (ν + |d|²/s²) / (ν + n)
+        v = t_j a + b_j,  b_j ~ N(0, k_j² σ_b²), weight π_j;   or   v ~ N(0, σ_v²), weight 1
+        v_s = v + e,  e ~ Student's t_ν(0, σ_s²);   d_j = v_s − t_j a,   s_j² = σ_s² + k_j² σ_b²
+        p_j = π_j s_j⁻ⁿ (1 + |d_j|²/ν s_j²)^(−(ν+n)/2),   p_v = σ_v⁻ⁿ exp(−|v_s|²/2σ_v²),   r_j = p_j / (p_v + Σ p_i)
+        v̂ = v_s − Σ r_j w_j σ_s² / (w_j σ_s² + k_j² σ_b²) d_j,   w_j = (ν + |d_j|²/s_j²) / (ν + n)
 
-    An observed velocity v_s that is far from τ a stays as observed. The weight w estimates the size of this error e.
-    Approximations: b + e is treated as one Student's t, its normalisation relative to the normal distribution is left
-    out (1.06 for n = 1, 1 for n = 2), and σ_s is neglected compared with σ_v. The numbers are measured on training
-    recordings (`measure_velocity_prior`), not trained; losses use the observed velocity. Ours, in no paper.
+    with π_1 = 1/2 and the other π_j = 1/14. The later times keep a motion that was taken up a few frames after rest
+    from being pulled back to t = τ. An observed velocity v_s that is far from all t_j a stays as observed. The weight
+    w_j estimates the size of the error e. Approximations: b_j + e is treated as one Student's t, its normalisation
+    relative to the normal distribution is left out (1.06 for n = 1, 1 for n = 2), σ_s is neglected compared with σ_v,
+    and a is that of the first frame. The numbers are measured on training recordings (`measure_velocity_prior`), not
+    trained; losses use the observed velocity. Ours, in no paper.
 
     Attributes:
         elapsed: τ, seconds; about dt where the first frame is one step after rest.
@@ -65,16 +72,21 @@ class VelocityPrior(eqx.Module):
         law, (x, v) = dynamics.law, state.coordinates
         assert isinstance(law, ConstrainedLagrangian)
         dim = x.shape[0]
-        off = v - self.elapsed * law.acceleration(x, jnp.zeros_like(x), u)
+        rest = law.acceleration(x, jnp.zeros_like(x), u)
+        off = v[None] - self.elapsed * jnp.outer(_TIMES, rest)
         if covariance is None:
             observed, mixed = self.observation**2, jnp.zeros((dim, dim))
         else:
             observed, mixed = jnp.trace(covariance[dim:, dim:]) / law.freedom, covariance[:dim, dim:]
-        variance = observed + self.spread**2
-        far = (off @ off) / variance
-        odds = (v @ v) / self.speed**2 + law.freedom * jnp.log(self.speed**2 / variance)
-        odds = (odds - (_TAIL + law.freedom) * jnp.log1p(far / _TAIL)) / 2
+        spread = (self.spread * _TIMES) ** 2
+        variance = observed + spread
+        far = jnp.sum(off**2, -1) / variance
+        released = (
+            np.log(_WEIGHTS) - ((_TAIL + law.freedom) * jnp.log1p(far / _TAIL) + law.freedom * jnp.log(variance)) / 2
+        )
+        moving = -((v @ v) / self.speed**2 + law.freedom * jnp.log(self.speed**2)) / 2
+        share = jax.nn.softmax(jnp.append(released, moving))[:-1]
         error = (_TAIL + far) / (_TAIL + law.freedom) * observed
-        pull = jax.nn.sigmoid(odds) * error / (error + self.spread**2)
-        carried = jnp.matmul(mixed, off, precision="highest") / (observed + 1e-12)
-        return State(Motion(x - pull * carried, v - pull * off), state.parameters)
+        pull = (share * error / (error + spread)) @ off
+        carried = jnp.matmul(mixed, pull, precision="highest") / (observed + 1e-12)
+        return State(Motion(x - carried, v - pull), state.parameters)
