@@ -3,6 +3,7 @@
 from keycld.mechanics.adaptive import AdaptiveDynamics as AdaptiveDynamics
 from keycld.mechanics.adaptive import DormandPrince as DormandPrince
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
+from keycld.mechanics.circle import nearest_circle as nearest_circle
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
 from keycld.mechanics.constraints import Constraints as Constraints
 from keycld.mechanics.constraints import FunctionConstraint as FunctionConstraint
@@ -154,6 +155,7 @@ __all__ = [
     "joining_velocity",
     "load_constraints",
     "momentum",
+    "nearest_circle",
     "parse_constraints",
     "pulled_back",
     "register_relation",

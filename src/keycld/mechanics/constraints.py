@@ -40,6 +40,15 @@ class AbstractConstraint(eqx.Module):
             parameters: those of the trajectory's state.
         """
 
+    @property
+    def unknowns(self) -> dict[str, Array]:
+        """The learned numbers of the geometry, by name; none by default."""
+        return {}
+
+    def located(self, x: Float[Array, "M dim"]) -> "AbstractConstraint":
+        """Return the constraint with unknown numbers of its geometry fitted to M observed positions alone."""
+        return self
+
 
 class FunctionConstraint(AbstractConstraint):
     """A plain function of the flattened positions as a constraint.
@@ -132,6 +141,31 @@ class Constraints(AbstractConstraint):
         """2K."""
         return 2 * len(self.keypoints)
 
+    @property
+    def unknowns(self) -> dict[str, Array]:
+        """The learned numbers of the relations: `pivot_KEYPOINT` [2], image-plane units; `angle_KEYPOINT`, rad."""
+        found = {}
+        for item in self.items:
+            if isinstance(item, AbstractRelation):
+                found |= {f"{name}_{'_'.join(item.keypoints)}": value for name, value in item.unknowns.items()}
+            elif isinstance(item, AbstractConstraint):
+                found |= item.unknowns
+        return found
+
+    def located(self, x: Float[Array, "M dim"]) -> "Constraints":
+        """Return the constraints with unknown pivots and directions fitted to observed positions alone.
+
+        Args:
+            x: observed positions [M, 2K], image-plane units.
+        """
+        items = (
+            item.located(x.reshape(len(x), -1, 2)[:, self._index(item)])
+            if isinstance(item, AbstractRelation)
+            else item.located(x)
+            for item in self.items
+        )
+        return Constraints(self.keypoints, items, self.squared)
+
     def distances(self) -> "Constraints":
         """Return the same constraints, measured by distances |y| in place of squares |y|².
 
@@ -157,8 +191,10 @@ class Constraints(AbstractConstraint):
     def _value(self, item: AbstractRelation | AbstractConstraint, x: Array, parameters: dict[str, Any]) -> Array:
         if isinstance(item, AbstractConstraint):
             return item(x, parameters)
-        index = jnp.array([self.keypoints.index(name) for name in item.keypoints])
-        return item(x.reshape(-1, 2)[index], parameters)[None]
+        return item(x.reshape(-1, 2)[self._index(item)], parameters)[None]
+
+    def _index(self, item: AbstractRelation) -> Array:
+        return jnp.array([self.keypoints.index(name) for name in item.keypoints])
 
 
 def as_constraint(constraint: Any, dimension: int) -> AbstractConstraint:

@@ -14,7 +14,7 @@ between = ["cart", "tip"]
 [[constraint]]
 kind = "distance_to_point"
 keypoint = "tip"
-point = [0.0, 0.0]        # or the name of an entry of the state's parameters
+point = [0.0, 0.0]        # or "unknown", or the name of an entry of the state's parameters
 """
 
 import json

@@ -76,7 +76,8 @@ def fit_motions(
 
     Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B takes
     the derivative of the acceleration at the two frames as linear between them: an error of (ω dt)², which slows the
-    convergence a little and leaves the paths exact, for a fifth of the time.
+    convergence a little and leaves the paths exact, for a fifth of the time. For numbers of the constraints, such as an
+    unknown pivot, B is exact. Φ then depends on θ: its constants are the means over the observations for each θ.
 
     Args:
         dynamics: a `ConstrainedLagrangian` with its integrator, near the solution.
@@ -87,7 +88,8 @@ def fit_motions(
         frames: how many of the first frames count; None: all.
         active: a pytree of the same shape with 1 for each number of θ that is fitted and 0 for each that stays; None:
             all are fitted. One compiled program serves all choices.
-        constants: values of Φ that all motions share; None: for each motion the mean over its observations.
+        constants: values of Φ that all motions share; None: for each motion the mean over its observations. Where
+            numbers of Φ are free, only whether constants are shared counts: they are the means over all observations.
         initial: initial states to begin with, `[N, dim]` each; None: `rough_states`.
         searches: steps of the initial states alone before the others.
         iterations: the most steps of initial states and θ together. It ends after three in a row that gain less than a
@@ -107,7 +109,9 @@ def fit_motions(
     parameters, rest = eqx.partition(dynamics, free)
     flat, unravel = ravel_pytree(parameters)
     chosen = jnp.ones_like(flat) if active is None else ravel_pytree(eqx.filter(active, free))[0]
+    geometry = _geometry(parameters)
     mask = (jnp.arange(length) < (length if frames is None else frames)).astype(observed.dtype)
+    shared = constants is not None
     if constants is None:
         constants = jax.vmap(lambda x: jnp.mean(jax.vmap(law.constraint)(x), axis=0))(observed)
     else:
@@ -118,9 +122,20 @@ def fit_motions(
     def model(theta: Array) -> MechanicalDynamics:
         return eqx.combine(unravel(theta), rest)
 
-    def projected(z: Array, theta: Array, held: Array) -> Array:
+    def fitted_law(theta: Array) -> ConstrainedLagrangian:
         fitted = model(theta).law
         assert isinstance(fitted, ConstrainedLagrangian)
+        return fitted
+
+    def kept(theta: Array, x: Array, held: Array) -> Array:
+        """Return the constants of the motion with the observations x."""
+        if not geometry.size:
+            return held
+        among = observed.reshape(-1, dim) if shared else x
+        return jnp.mean(jax.vmap(fitted_law(theta).constraint)(among), axis=0)
+
+    def projected(z: Array, theta: Array, held: Array) -> Array:
+        fitted = fitted_law(theta)
         x = fitted.project_position(z[:dim], held)
         return jnp.concatenate([x, fitted.project_velocity(x, z[dim:] / clock)])
 
@@ -139,11 +154,18 @@ def fit_motions(
 
     def blocks(z: Array, theta: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array, Array, Array]:
         """Compute matrix, slope and value of the quadratic model of one motion's cost in (z, θ), and its path."""
+        start = held
+        held = kept(theta, x, start)
         path = motion(z, theta, held, push)
         states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
         inputs = jnp.broadcast_to(push[None], (length, push.shape[0])) if push.ndim == 1 else push
 
-        def step(state: Array, push: Array) -> Array:
+        def shaped(numbers: Array) -> tuple[Array, Array]:
+            """Return θ with these numbers of the constraints, and the constants."""
+            changed = theta.at[geometry].set(numbers)
+            return changed, kept(changed, x, start)
+
+        def step(state: Array, push: Array, theta: Array = theta, held: Array = held) -> Array:
             now = State(Motion(state[:dim], state[dim:]), {"constants": held})
             return jnp.concatenate(model(theta).step(now, push, dt).coordinates)
 
@@ -158,6 +180,13 @@ def fit_motions(
         here, then = slopes[:-1], slopes[1:]
         pushes = jnp.concatenate([dt**2 / 6 * (2 * here + then), dt / 2 * (here + then)], axis=1)
         pushes = jnp.concatenate([jnp.zeros((length - 1, size, size)), pushes], axis=2)
+        if geometry.size:
+            numbers, columns = theta[geometry], size + geometry
+            first = first.at[:, columns].set(jax.jacfwd(lambda numbers: projected(z, *shaped(numbers)))(numbers))
+            exact = jax.jacfwd(
+                lambda numbers: jax.vmap(lambda s, u: step(s, u, *shaped(numbers)))(states[:-1], inputs[:-1])
+            )
+            pushes = pushes.at[:, :, columns].set(exact(numbers))
 
         def pass_frame(slope: Array, matrices: tuple[Array, Array]) -> tuple[Array, Array]:
             slope = jnp.matmul(matrices[0], slope, precision="highest") + matrices[1]
@@ -200,7 +229,8 @@ def fit_motions(
         new_z = z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
 
         def price(both: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array]:
-            paths = jax.vmap(lambda z: motion(z, new_theta, held, push).x)(both)
+            own = kept(new_theta, x, held)
+            paths = jax.vmap(lambda z: motion(z, new_theta, own, push).x)(both)
             return jax.vmap(lambda path: cost(path - x))(paths), paths
 
         prices, new_paths = each(price, jnp.stack([z, new_z], axis=1), observed, constants, u)
@@ -223,7 +253,7 @@ def fit_motions(
     begin = (z, jnp.full(count, 1e-2), flat, jnp.array(1e-2), jnp.array(jnp.inf), curvature, observed, 0, 0)
     begin = jax.tree.map(jnp.asarray, begin)
     z, _, flat, _, _, curvature, paths, _, _ = jax.lax.while_loop(unfinished, improve, begin)
-    first = jax.vmap(lambda z, held: projected(z, flat, held))(z, constants)
+    first = jax.vmap(lambda z, x, held: projected(z, flat, kept(flat, x, held)))(z, observed, constants)
     squares = jax.vmap(lambda error: jnp.sum(counted(error) ** 2))(paths - observed)
     errors = jnp.sqrt(squares / (jnp.sum(mask) * dim))
     total = jnp.sum(jax.vmap(cost)(paths - observed))
@@ -236,6 +266,15 @@ def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
     powers = np.linalg.pinv(np.vander(np.arange(window), min(4, window), increasing=True))
     x, v = (jnp.einsum("t,ntd->nd", jnp.asarray(row, observed.dtype), observed[:, :window]) for row in powers[:2])
     return Motion(x, v / dt)
+
+
+def _geometry(parameters: PyTree) -> np.ndarray:
+    """Return which entries of the flattened parameters are numbers of the constraints."""
+    of_constraints = [
+        np.full(leaf.size, ".constraint_function" in jax.tree_util.keystr(path))
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parameters)
+    ]
+    return np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_constraints]))
 
 
 def _damped(matrix: Array, damping: Array) -> Array:

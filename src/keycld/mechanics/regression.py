@@ -105,12 +105,16 @@ def _variants(law: ConstrainedLagrangian) -> list[ConstrainedLagrangian]:
 
 def _force_columns(law: ConstrainedLagrangian, free: PyTree, x: Array, v: Array, u: Array) -> tuple[np.ndarray, Any]:
     """Return ∂f/∂θ `[rows, dim, P]` and the function from θ to a pytree of the law's free leaves."""
-    forces = eqx.tree_at(lambda law: law.mass, free, replace=jax.tree.map(lambda _: False, free.mass))
+    forces = eqx.tree_at(_no_forces, free, replace=jax.tree.map(lambda _: False, _no_forces(free)))
     parameters, rest = eqx.partition(law, forces)
     flat, unravel = ravel_pytree(parameters)
     return np.asarray(_slopes(flat, unravel, rest, x, v, u), float), lambda theta: unravel(
         jnp.asarray(theta, flat.dtype)
     )
+
+
+def _no_forces(law: Any) -> list[Any]:
+    return jax.tree.leaves((law.mass, law.constraint_function))
 
 
 @eqx.filter_jit

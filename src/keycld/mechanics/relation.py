@@ -14,6 +14,9 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError, unknown
 
+UNKNOWN = "unknown"
+"""In place of a position or a direction: it is learned."""
+
 _ROUNDING = 1e-6
 """Length, image-plane units, below which a distance |y| is rounded off: √(|y|² + ε²) has derivatives at y = 0."""
 
@@ -47,6 +50,19 @@ class AbstractRelation(eqx.Module):
             points: positions of `keypoints`, in that order, image-plane units.
             parameters: those of the trajectory's state.
         """
+
+    @property
+    def unknowns(self) -> dict[str, Array]:
+        """The numbers of its geometry that are learned, by name; none by default."""
+        return {}
+
+    def located(self, points: Float[Array, "M m 2"]) -> "AbstractRelation":
+        """Return the relation with the unknown numbers of its geometry fitted to observed positions alone.
+
+        Args:
+            points: M observations of `keypoints`, image-plane units.
+        """
+        return self
 
     @classmethod
     @abc.abstractmethod
@@ -83,7 +99,7 @@ class AbstractDisplacement(AbstractRelation):
 
     @property
     @abc.abstractmethod
-    def normal(self) -> tuple[float, float] | None:
+    def normal(self) -> tuple[float, float] | Float[Array, "2"] | None:
         """n, or None for the square."""
 
     @abc.abstractmethod
@@ -114,12 +130,12 @@ def displacements(
     """
     signs = np.array([[relation.signs.get(name, 0.0) for name in keypoints] for relation in relations])
     normals = [relation.normal for relation in relations]
-    square = np.array([[0.0 if normal else 1.0] * 2 for normal in normals])
-    linear = np.array([normal or (0.0, 0.0) for normal in normals])
+    square = np.array([[0.0 if normal is not None else 1.0] * 2 for normal in normals])
+    linear = jnp.stack([jnp.asarray((0.0, 0.0) if normal is None else normal, x.dtype) for normal in normals])
     origins = [jnp.asarray(relation.origin(parameters), x.dtype) for relation in relations]
     points = x.reshape(1, -1, 2)
     y = jnp.sum(jnp.asarray(signs, x.dtype)[:, :, None] * points, axis=1) - jnp.stack(origins)
-    value = jnp.sum((jnp.asarray(square, x.dtype) * y + jnp.asarray(linear, x.dtype)) * y, axis=1)
+    value = jnp.sum((jnp.asarray(square, x.dtype) * y + linear) * y, axis=1)
     if squared:
         return value
     is_square = square[:, 0] > 0

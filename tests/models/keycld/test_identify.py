@@ -85,3 +85,16 @@ def test_a_pendulum_has_gravity_alone(capsys):
     assert config.matching(found).terms == () and "affine V;" in capsys.readouterr().out
     force = found.law.acceleration(jnp.array([0.6, 0.0]), jnp.zeros(2), jnp.zeros(0))
     assert float(force[1]) == pytest.approx(-9.0 * 0.6, rel=0.1)
+
+
+def test_an_unknown_pivot_is_found_and_reported(capsys):
+    """Discs that swing around the image centre; the model begins with another pivot. A quarter of a pixel is 0.03."""
+    some = disc_pendulum(12, FRAMES, seed=0, inputs=1)
+    angle = some.state[..., 0]
+    data = recorded(0.6 * np.sin(angle), -0.6 * np.cos(angle))
+    _, model = model_of(Constraints(("bob",), (DistanceToPoint("bob", "unknown"),)))
+    moved = eqx.tree_at(lambda m: m.dynamics.law.constraint_function.items[0].learned, model, jnp.array([0.3, -0.4]))
+    found, _ = identify_dynamics(moved, dataclasses.replace(data, u=jnp.asarray(some.input)), terms=())
+    np.testing.assert_allclose(found.law.constraint_function.unknowns["pivot_bob"], 0.0, atol=0.03)
+    assert float(jnp.sqrt(found.constants[0])) == pytest.approx(0.6, abs=0.03)
+    assert "pivot_bob [" in capsys.readouterr().out

@@ -17,7 +17,7 @@ class JointFriction(AbstractDissipationTerm):
 
     A link is a constraint `FixedDistance` or `DistanceToPoint`; d is the vector along it and ω = d × ḋ / |d|² its
     angular velocity. The hinges: of each link against the surroundings, and of each two links that share a keypoint
-    against each other.
+    against each other. A link to an unknown point is left out: friction of its end (`viscous`) is the same.
 
     Attributes:
         strength: b [hinges].

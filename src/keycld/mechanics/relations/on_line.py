@@ -3,13 +3,11 @@
 from typing import Any
 
 import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.mechanics.relation import AbstractDisplacement, keypoint_entry, pair, register_relation
-
-
-def _direction(value: Any) -> tuple[float, float]:
-    return pair("direction", value)
+from keycld.mechanics.relation import UNKNOWN, AbstractDisplacement, keypoint_entry, pair, register_relation
 
 
 @register_relation
@@ -18,7 +16,11 @@ class OnLine(AbstractDisplacement):
 
     Args:
         keypoint: its name.
-        direction: of the line, any length; (1, 0), the default, is horizontal.
+        direction: of the line, any length; (1, 0), the default, is horizontal. Or "unknown", for a direction that is
+            learned and that all trajectories share.
+
+    Attributes:
+        learned: the angle of an unknown direction against the horizontal, rad; zero before the first fit.
 
     Raises:
         KeycldError: if the direction is zero or not finite.
@@ -29,7 +31,13 @@ class OnLine(AbstractDisplacement):
     optional = ("direction",)
 
     keypoint: str = eqx.field(static=True)
-    direction: tuple[float, float] = eqx.field(static=True, default=(1.0, 0.0), converter=_direction)
+    direction: tuple[float, float] | str = eqx.field(static=True)
+    learned: Float[Array, ""] | None
+
+    def __init__(self, keypoint: str, direction: Any = (1.0, 0.0)):
+        self.keypoint = keypoint
+        self.direction = UNKNOWN if direction == UNKNOWN else pair("direction", direction)
+        self.learned = jnp.zeros(()) if direction == UNKNOWN else None
 
     def __check_init__(self):
         """Refuse a line without a direction."""
@@ -44,8 +52,11 @@ class OnLine(AbstractDisplacement):
         return {self.keypoint: 1.0}
 
     @property
-    def normal(self) -> tuple[float, float]:
+    def normal(self) -> tuple[float, float] | Float[Array, "2"]:
         """The direction turned by a right angle, of length one."""
+        if self.learned is not None:
+            return jnp.stack([-jnp.sin(self.learned), jnp.cos(self.learned)])
+        assert isinstance(self.direction, tuple)
         dx, dy = self.direction
         length = (dx * dx + dy * dy) ** 0.5
         return (-dy / length, dx / length)
@@ -54,9 +65,22 @@ class OnLine(AbstractDisplacement):
         """Return zero: where the line lies is a constant of Φ."""
         return (0.0, 0.0)
 
+    @property
+    def unknowns(self) -> dict[str, Array]:
+        """The angle of the direction, if it is learned."""
+        return {} if self.learned is None else {"angle": self.learned}
+
+    def located(self, points: Float[Array, "M 1 2"]) -> "OnLine":
+        """Return the relation with an unknown direction along the longer axis of the positions' covariance."""
+        if self.learned is None:
+            return self
+        x, y = (points[:, 0] - jnp.mean(points[:, 0], axis=0)[None, :]).T
+        angle = 0.5 * jnp.arctan2(2 * jnp.sum(x * y), jnp.sum(x**2) - jnp.sum(y**2))
+        return eqx.tree_at(lambda item: item.learned, self, angle)
+
     @classmethod
     def read(cls, entries: dict[str, Any]) -> "OnLine":
-        """Return the relation from `keypoint` and `direction`, two numbers."""
+        """Return the relation from `keypoint` and `direction`, two numbers or "unknown"."""
         return cls(keypoint_entry(entries["keypoint"]), entries.get("direction", (1.0, 0.0)))
 
     def write(self) -> dict[str, Any]:

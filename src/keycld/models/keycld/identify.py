@@ -227,7 +227,10 @@ def _lagrangian(dynamics: MechanicalDynamics) -> ConstrainedLagrangian:
 def _affine(law: ConstrainedLagrangian) -> ConstrainedLagrangian:
     """Return the law with V = 0, R = 0 and g = 0, all affine."""
     zero = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, law)
-    return with_terms(eqx.tree_at(lambda law: law.mass, zero, law.mass), {})
+    return with_terms(
+        ConstrainedLagrangian(law.mass, zero.potential, zero.input_matrix, law.constraint_function, zero.dissipation),
+        {},
+    )
 
 
 def _free(dynamics: Any) -> Any:

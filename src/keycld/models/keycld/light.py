@@ -3,7 +3,7 @@
 import dataclasses
 import functools
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
@@ -194,7 +194,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         groups=(
             Group("estimator", lambda m: m.estimator, third.rate),
             Group("renderer", lambda m: m.renderer, third.rate),
-            Group("dynamics", lambda m: m.dynamics, third.energy_rate, functools.partial(muon, dense=False)),
+            Group("dynamics", _forces, third.energy_rate, functools.partial(muon, dense=False)),
         ),
         optimiser=muon,
         schedule=warmup_cosine,
@@ -213,6 +213,14 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     last = sequence(functools.partial(fit_dynamics, prune=config.terms is None), measure_velocity_prior)
     prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
     return vision, dynamics, joint, prior
+
+
+def _forces(model: AbstractKeypointModel) -> tuple[Any, ...]:
+    """Return what gradients train of the dynamics: unknown numbers of the constraints are found by fits alone."""
+    law = model.moving_law
+    if not isinstance(law, ConstrainedLagrangian):
+        return (model.dynamics,)
+    return law.mass, law.potential, law.input_matrix, law.dissipation
 
 
 def _gradient_stage(config: "DynamicsStage", clips: Callable[..., FrameGroups]) -> Stage:

@@ -23,7 +23,8 @@ class VisionLoss(AbstractLoss):
 
     b ∝ exp(−|x_p − x_k|²/2σ²), normalised and without gradient, keeps the heat maps single-peaked. Only DΦ enters eq.
     (6), so the values of Φ are free, but they must be constant: no dynamics can follow keypoints whose distance to the
-    pivot changes with the angle (arXiv v1, Fig. 13b). t = min(step / steps, 1) is the progress of the stage.
+    pivot changes with the angle (arXiv v1, Fig. 13b). Unknown pivots and directions are those that fit the batch best.
+    t = min(step / steps, 1) is the progress of the stage.
 
     Source: arXiv v1, eq. (10), for L_r; L_h after the heat-map loss of the 2024 version; U is ours.
 
@@ -75,7 +76,8 @@ class VisionLoss(AbstractLoss):
         x = observed.keypoints.reshape(frames.shape[0], -1)
         done = jnp.minimum(step / self.steps, 1.0)
         fixed = _ends(model, x) & (done < self.joints)
-        uneven, couples = unevenness(model, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
+        located = model.located(jax.lax.stop_gradient(x))
+        uneven, couples = unevenness(located, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
         rendered = jax.vmap(model.renderer)(observed.keypoints)
         terms = {
             "reconstruction": squared_error(rendered, frames),

@@ -67,6 +67,15 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         law = self.moving_law
         return law.constraint(x) if isinstance(law, ConstrainedLagrangian) else x[:0]
 
+    def located(self, x: Float[Array, "M dim"]) -> "AbstractKeypointModel":
+        """Return the model with unknown pivots and directions of its constraints fitted to M observed positions."""
+        law = self.moving_law
+        if not isinstance(law, ConstrainedLagrangian) or not law.constraint_function.unknowns:
+            return self
+        return eqx.tree_at(
+            lambda model: model.dynamics.law.constraint_function, self, law.constraint_function.located(x)
+        )
+
     def observe(self, frame: Float[Array, "H W 3"]) -> Observation:
         """Estimate the keypoints of one frame, and its heat maps if the estimator has any.
 

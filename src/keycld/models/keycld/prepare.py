@@ -142,7 +142,8 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
 def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | None = None) -> tuple[Any, Resident]:
     """Find the forces that act from the keypoints of some recordings: `identify`, and print what it found.
 
-    The constants of Φ are measured on the same keypoints first. A model without a Lagrangian is returned unchanged.
+    Unknown pivots and directions of the constraints, and the constants of Φ, are measured on the same keypoints first.
+    A model without a Lagrangian is returned unchanged.
 
     Args:
         model: the model whose dynamics are identified.
@@ -152,10 +153,10 @@ def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | No
     if not isinstance(model, KeyCLD):
         return model, data
     x, u = _observed(model, data, _FITTED)
-    model, pixel = _sharing(model, x), 2 / max(data.shape[2:4])
+    model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
     found = identify(model.dynamics, x, u, data.dt, model.constants, pixel=pixel, terms=terms)
-    model = eqx.tree_at(lambda m: m.dynamics, model, found.dynamics)
+    model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, found.dynamics), x)
     _report(model, found.rms / pixel)
     return model, data
 
@@ -181,7 +182,7 @@ def fit_dynamics(
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
     fitted = refit(model.dynamics, x, u, data.dt, model.constants, prune=prune)
-    model = eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics)
+    model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
     if prune:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
     # The median of |e| of a normal distribution is 0.67 σ.
@@ -221,6 +222,8 @@ def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]
 
 def _report(model: KeyCLD, pixels: float) -> None:
     acting = "".join(f", {kind}" for kind in terms_of(model.law))
+    for name, value in model.law.constraint_function.unknowns.items():
+        acting += f"; {name} {np.array2string(np.asarray(value), precision=3, separator=', ')}"
     print(f"dynamics     affine V{acting}; fitted paths are {pixels:.2f} pixels from the keypoints", flush=True)
 
 
@@ -249,7 +252,12 @@ def _sharing(model: Any, x: jax.Array) -> Any:
 @eqx.filter_jit
 def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
     """Return the sum of U_i for keypoints `[B, K, 2]` in each order `[P, K]`."""
-    return jax.lax.map(lambda order: jnp.sum(unevenness(model, x[:, order].reshape(len(x), -1))[0]), orders)
+
+    def uneven(order: jax.Array) -> jax.Array:
+        ordered = x[:, order].reshape(len(x), -1)
+        return jnp.sum(unevenness(model.located(ordered), ordered)[0])
+
+    return jax.lax.map(uneven, orders)
 
 
 # Compiled once for all stages.
