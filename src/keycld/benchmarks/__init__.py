@@ -7,6 +7,7 @@ from keycld.benchmarks.figures import error_figure as error_figure
 from keycld.benchmarks.illustrate import Illustration as Illustration
 from keycld.benchmarks.illustrate import Illustrations as Illustrations
 from keycld.benchmarks.illustrate import illustrate as illustrate
+from keycld.benchmarks.on_ray import OnRay as OnRay
 from keycld.benchmarks.paper_figures import PaperFigure as PaperFigure
 from keycld.benchmarks.paper_figures import PaperFigures as PaperFigures
 from keycld.benchmarks.paper_figures import paper_figures as paper_figures
@@ -15,6 +16,8 @@ from keycld.benchmarks.run_figures import control_strip as control_strip
 from keycld.benchmarks.run_figures import grid_pictures as grid_pictures
 from keycld.benchmarks.run_figures import observation_sheet as observation_sheet
 from keycld.benchmarks.run_figures import potential_figures as potential_figures
+from keycld.benchmarks.running import AbstractRunner as AbstractRunner
+from keycld.benchmarks.running import Here as Here
 from keycld.benchmarks.running import run_experiments as run_experiments
 from keycld.benchmarks.scoreboard import Board as Board
 from keycld.benchmarks.scoreboard import average_ranks as average_ranks
@@ -42,11 +45,14 @@ __all__ = [
     "MODEL_TITLES",
     "model_title",
     "SUITES",
+    "AbstractRunner",
     "Board",
     "DataRecipe",
     "Experiment",
+    "Here",
     "Illustration",
     "Illustrations",
+    "OnRay",
     "PaperFigure",
     "PaperFigures",
     "Place",

@@ -1,5 +1,6 @@
 """Running of experiments that are missing, stale or failed, each in its own process."""
 
+import abc
 import contextlib
 import os
 import signal
@@ -21,10 +22,41 @@ DONE, FAILED, TAKEN, INTERRUPTED = 0, 3, 75, 130
 _CHILD = (sys.executable, "-m", "keycld.benchmarks.child")
 
 
+class AbstractRunner(abc.ABC):
+    """Where experiments run."""
+
+    @abc.abstractmethod
+    def each(
+        self, experiments: Sequence[Experiment], place: Place, child: Sequence[str]
+    ) -> Iterator[tuple[Experiment, float, int]]:
+        """Attempt all experiments; yield each one when its attempt has ended.
+
+        Args:
+            experiments: to attempt, in this order.
+            place: where data, runs and results are.
+            child: as in `run_experiments`.
+
+        Yields:
+            the experiment, the seconds of the attempt, and the number of experiments that run at the same time.
+        """
+
+
+class Here(AbstractRunner):
+    """One after the other, on this machine."""
+
+    def each(
+        self, experiments: Sequence[Experiment], place: Place, child: Sequence[str]
+    ) -> Iterator[tuple[Experiment, float, int]]:
+        """Attempt all experiments, as the abstract method says."""
+        for experiment in experiments:
+            yield experiment, attempt(experiment, place, child), 1
+
+
 def run_experiments(
     experiments: Sequence[Experiment],
     place: Place,
     *,
+    runner: AbstractRunner | None = None,
     child: Sequence[str] = _CHILD,
     say: Callable[[str], None] = print,
 ) -> dict[str, int]:
@@ -37,6 +69,7 @@ def run_experiments(
     Args:
         experiments: what to do, in this order.
         place: where data, runs and results are.
+        runner: where they run; by default `Here()`.
         child: the command of one experiment; its arguments are the id of this process, the experiment, and the two
             folders of `place`.
         say: is called with a line about each experiment.
@@ -51,18 +84,27 @@ def run_experiments(
     left = [experiment for experiment, status in zip(experiments, before, strict=True) if status.word != "done"]
     say(f"{len(experiments)} experiments, {len(experiments) - len(left)} done, {len(left)} to do{_left(costs, left)}")
     width = max(len(experiment.name) for experiment in experiments)
-    for number, experiment in enumerate(left, start=1):
-        since = time.monotonic()
+    waiting = list(left)
+    for experiment, seconds, together in (runner or Here()).each(left, place, child) if left else ():
+        waiting.remove(experiment)
         status = status_of(experiment, place)
-        if status.word not in ("done", "running"):
-            code = _do(experiment, place, child)
-            if code not in (DONE, FAILED, TAKEN):
-                _record_crash(experiment, place, code)
-            status = status_of(experiment, place)
         _note(costs, experiment, status)
-        line = f"[{number}/{len(left)}] {experiment.name:{width}}  {_outcome(experiment, status)}"
-        say(f"{line}  {_clock(time.monotonic() - since)}{_left(costs, left[number:])}")
+        line = f"[{len(left) - len(waiting)}/{len(left)}] {experiment.name:{width}}  {_outcome(experiment, status)}"
+        say(f"{line}  {_clock(seconds)}{_left(costs, waiting, together)}")
     return count_states(experiments, place)
+
+
+def attempt(experiment: Experiment, place: Place, child: Sequence[str]) -> float:
+    """Do an experiment in a process of its own, unless it is done or running; return the seconds that this took.
+
+    Whatever happens to that process is recorded.
+    """
+    since = time.monotonic()
+    if status_of(experiment, place).word not in ("done", "running"):
+        code = _do(experiment, place, child)
+        if code not in (DONE, FAILED, TAKEN):
+            _record_crash(experiment, place, code)
+    return time.monotonic() - since
 
 
 def _do(experiment: Experiment, place: Place, child: Sequence[str]) -> int:
@@ -116,13 +158,19 @@ def _note(costs: dict[str, list[float]], experiment: Experiment, status: Status)
         costs.setdefault(experiment.model, []).append(seconds["training"] + seconds["evaluation"])
 
 
-def _left(costs: dict[str, list[float]], experiments: Sequence[Experiment]) -> str:
-    """Return the time left, from the times of the same model or else of all models; nothing before the first one."""
+def _left(costs: dict[str, list[float]], experiments: Sequence[Experiment], together: int = 1) -> str:
+    """Return the time left, from the times of the same model or else of all models; nothing before the first one.
+
+    Args:
+        costs: seconds of each experiment that is done, by model.
+        experiments: what is left.
+        together: how many of them run at the same time.
+    """
     known = [cost for model in costs.values() for cost in model]
     if not known or not experiments:
         return ""
     each = [costs.get(experiment.model, known) for experiment in experiments]
-    return f", about {_clock(sum(sum(some) / len(some) for some in each))} left"
+    return f", about {_clock(sum(sum(some) / len(some) for some in each) / together)} left"
 
 
 def _clock(seconds: float) -> str:

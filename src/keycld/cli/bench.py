@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
@@ -63,12 +63,27 @@ class Selection:
 Chosen = Annotated[Selection, tyro.conf.arg(name="")]
 
 
-def run(selection: Chosen) -> None:
-    """Run what is missing or has failed: data, training, scores. It may be killed; the same command continues."""
-    from keycld.benchmarks import run_experiments
+def run(
+    selection: Chosen,
+    *,
+    on: Literal["here", "ray"] = "here",
+    cpus: float = 1.0,
+    gpus: float = 0.0,
+) -> None:
+    """Run what is missing or has failed: data, training, scores. It may be killed; the same command continues.
+
+    Args:
+        selection: Which experiments.
+        on: here, one after the other, or ray: each a task of a Ray cluster, that of RAY_ADDRESS, of this machine, or a
+            new one.
+        cpus: Processor cores that an experiment reserves on Ray.
+        gpus: GPUs that an experiment reserves on Ray; 0.5 lets two share one.
+    """
+    from keycld.benchmarks import Here, OnRay, run_experiments
 
     experiments, place = selection.experiments(), selection.place()
-    counts = run_experiments(experiments, place, say=lambda line: print(line, flush=True))
+    runner = OnRay(cpus, gpus) if on == "ray" else Here()
+    counts = run_experiments(experiments, place, runner=runner, say=lambda line: print(line, flush=True))
     print(_counts(experiments, place))
     if counts.get("failed"):
         raise KeycldError(

@@ -19,6 +19,7 @@ def train(
     preset: str | None = None,
     settings: ModelConfig,
     seed: int | None = None,
+    devices: int | None = None,
     out: Path | None = None,
     constraints: Path | None = None,
     config: Path | None = None,
@@ -39,6 +40,7 @@ def train(
         preset: The whole recipe; by default fast.
         settings: Fields of the preset.
         seed: Seed of weights and data order; by default 0. Same seed, machine and settings: same bits.
+        devices: Devices that share the clips of each step; by default 1.
         out: Run folder; by default runs/DATA-MODEL-PRESET-SEED.
         constraints: TOML file with keypoints and constraints, instead of those of the data; for models that have some.
         config: The config.json of a run, to train the same again. Other options change their part of it.
@@ -55,6 +57,7 @@ def train(
     saved = None if config is None else parse_config(config)
     if saved is not None:
         data, seed = data or saved.data, saved.seed if seed is None else seed
+        devices = devices or saved.devices
     if not data:
         raise KeycldError("name what to train on: a system, `keycld train pendulum`, or the folder of a data set.")
     if constraints is not None:
@@ -67,6 +70,7 @@ def train(
         run,
         settings,
         seed=seed,
+        devices=1 if devices is None else devices,
         track=track,
         log_every=log_every,
         checkpoint_seconds=checkpoint_seconds,

@@ -19,6 +19,7 @@ from keycld.data import Resident, TrainingData
 from keycld.models.base import AbstractModel
 from keycld.stages import Stage
 from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
+from keycld.training.devices import Devices
 from keycld.training.run_folder import Metrics, write_verdict
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
@@ -57,6 +58,7 @@ def train_stages(
     source: TrainingData,
     folder: Path,
     *,
+    devices: Devices,
     seed: int,
     steps_per_dispatch: int,
     checkpoint_seconds: float,
@@ -79,6 +81,7 @@ def train_stages(
         stages: the recipe.
         source: training data.
         folder: run folder.
+        devices: share the clips of each step.
         seed: of all randomness.
         steps_per_dispatch: optimiser steps in one compiled call.
         checkpoint_seconds: time between checkpoints.
@@ -145,7 +148,7 @@ def train_stages(
     number = first
     while number < len(stages):
         stage, again = stages[number], _MOST_CANDIDATES * len(failures)
-        compiled = functools.cache(functools.partial(make_step, stage, number + again, seed))
+        compiled = functools.cache(functools.partial(make_step, stage, number + again, seed, devices=devices))
         models = []
         pinned, per_step = _clips(stage, data)
         if progress is not None:
@@ -156,8 +159,9 @@ def train_stages(
             other = compiled
             if stage.alternative is not None:
                 differing = dataclasses.replace(stage, loss=stage.alternative)
-                other = functools.cache(functools.partial(make_step, differing, number + again, seed))
-            current, rest, data = _best(stage, models, data, (compiled, other), steps_per_dispatch)
+                other = functools.cache(functools.partial(make_step, differing, number + again, seed, devices=devices))
+            current, rest, data = _best(stage, models, data, (compiled, other), steps_per_dispatch, devices)
+        current, fixed = devices.everywhere(current), devices.everywhere((rest, data))
         done = int(current.step)
         clock.frames += per_step * done * len(models)
         bar = Bar(stage.name, stage.steps)
@@ -168,19 +172,22 @@ def train_stages(
             chunk = min(steps_per_dispatch, stage.steps - done, log_every - done % log_every)
             if not pinned:
                 here = before[number] + done
-                data, end = _moved(data, source.at(here)), source.until(here)
+                moved, end = _moved(data, source.at(here)), source.until(here)
                 chunk = chunk if end is None else min(chunk, end - here)
+                if moved is not data:
+                    data, fixed = moved, devices.everywhere((rest, moved))
             if stage.refresh is not None:
                 chunk = min(chunk, stage.every - done % stage.every)
                 # Before the step and not after the last one, so that a run which resumes here repeats it.
                 if done and done % stage.every == 0:
-                    model, data = stage.refresh(eqx.combine(current.parameters, rest), data)
+                    model, data = stage.refresh(eqx.combine(devices.here(current.parameters), rest), data)
                     current, rest = refreshed(stage, model, current)
+                    current, fixed = devices.everywhere(current), devices.everywhere((rest, data))
             traced = profile and dispatches == 1
             with (
                 jax.profiler.trace(folder / "profile" / stage.name, create_perfetto_trace=True) if traced else _NOTHING
             ):
-                current, terms = compiled(chunk)((rest, data), current)
+                current, terms = compiled(chunk)(fixed, current)
                 if traced:
                     jax.block_until_ready(current)
             dispatches += 1
@@ -191,7 +198,7 @@ def train_stages(
                 values = {k: float(np.mean([np.mean(t[k]) for t in pending])) for k in terms}
                 pending = []
                 if not bool(current.healthy):
-                    raise diagnose(stage, number + again, seed, current, rest, data)
+                    raise diagnose(stage, number + again, seed, devices.here(current), rest, data)
                 clock.tick()
                 now = time.monotonic()
                 rate = (clock.frames - logged_frames) / max(now - logged_at, 1e-9)
@@ -199,9 +206,10 @@ def train_stages(
                 record(number, done, values)
                 bar.show(done, rate, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
                 if now - saved > checkpoint_seconds and done < stage.steps:
-                    save(number, current, eqx.combine(current.parameters, rest), done)
+                    now_here = devices.here(current)
+                    save(number, now_here, eqx.combine(now_here.parameters, rest), done)
                     saved = time.monotonic()
-        model = eqx.combine(current.parameters, rest)
+        model = eqx.combine(devices.here(current.parameters), rest)
         progress = None
         if stage.judge is not None and (failure := stage.judge(model, data, values)):
             # Not saved: a run that resumes here fails in the same way.
@@ -235,6 +243,7 @@ def _best(
     data: Resident,
     compiled: tuple[Callable[[int], Run], Callable[[int], Run]],
     steps_per_dispatch: int,
+    devices: Devices,
 ) -> tuple[Progress, Any, Resident]:
     """Return the initial state of the stage; of several models, the state of the best one after the stage's trial.
 
@@ -247,9 +256,10 @@ def _best(
         if len(models) == 1:
             return progress, rest, resident
         losses, trial = [], min(stage.trial, stage.steps)
+        progress, fixed = devices.everywhere(progress), devices.everywhere((rest, resident))
         for done in range(0, trial, steps_per_dispatch):
             run = compiled[number % 2](min(steps_per_dispatch, trial - done))
-            progress, terms = run((rest, resident), progress)
+            progress, terms = run(fixed, progress)
             losses.extend(np.asarray(terms["loss"]))
         # The mean over the last third, because the loss of one batch is noisy.
         score = float(np.mean(losses[-(trial // 3) :]))

@@ -41,6 +41,7 @@ class RunConfig:
         steps_per_dispatch: optimiser steps in one compiled call.
         checkpoint_seconds: time between checkpoints.
         command: the command line of the run.
+        devices: number of devices that shared each batch.
         schema_version: version of this file's format; earlier ones are migrated on reading.
     """
 
@@ -57,12 +58,13 @@ class RunConfig:
     steps_per_dispatch: int
     checkpoint_seconds: float
     command: str
+    devices: int = 1
     schema_version: int = SCHEMA_VERSION
 
     def decides(self) -> dict[str, Any]:
         """Return the part that must be equal for a run to be resumed."""
         fields = dataclasses.asdict(self)
-        for name in ("command", "checkpoint_seconds", "data", "input_names", "epsilon", "schema_version"):
+        for name in ("command", "checkpoint_seconds", "devices", "data", "input_names", "epsilon", "schema_version"):
             del fields[name]
         return json.loads(json.dumps(fields))
 

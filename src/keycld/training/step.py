@@ -13,6 +13,7 @@ from jaxtyping import Array
 from keycld._errors import KeycldError
 from keycld.data import Clip, Resident
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Stage
+from keycld.training.devices import Devices
 
 
 class Progress(NamedTuple):
@@ -55,7 +56,7 @@ def _parted(stage: Stage, model: eqx.Module) -> tuple[Any, Any]:
     return jax.tree.map(jnp.copy, parameters), rest
 
 
-def make_step(stage: Stage, number: int, seed: int, steps: int) -> Callable:
+def make_step(stage: Stage, number: int, seed: int, steps: int, devices: Devices = Devices()) -> Callable:  # noqa: B008
     """Compile `steps` optimiser steps of a stage into one function.
 
     Several steps hide the time that a dispatch takes, on a GPU most of all.
@@ -65,18 +66,19 @@ def make_step(stage: Stage, number: int, seed: int, steps: int) -> Callable:
         number: its number in the recipe, for the random keys.
         seed: of the run.
         steps: optimiser steps of one call.
+        devices: share the clips of each step.
 
     Returns:
-        `run((rest, data), progress) -> (progress, terms)`. Terms are stacked over the steps. The buffers of the given
-        progress are donated.
+        `run((rest, data), progress) -> (progress, terms)`, of arrays on all devices. Terms are stacked over the steps.
+        The buffers of the given progress are donated.
     """
     # Arguments, not constants, of the program: a stage that differs from another in numbers only, such as its seed, its
     # steps, rates or weights, does not compile again.
-    chosen = (step_keys(seed, number), stage.rates(), stage.numbers)
+    chosen = devices.everywhere((step_keys(seed, number), stage.rates(), stage.numbers))
 
     def one(progress: Progress, chosen: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
         (clip_key, loss_key), rates, (sampler, objective) = chosen
-        clips = sampler(data, clip_key, progress.step)
+        clips = devices.divided(sampler(data, clip_key, progress.step))
         key = jax.random.fold_in(loss_key, progress.step)
         (loss, (terms, memory)), gradient = _gradient(objective, rest, clips, key, progress)
         # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
@@ -87,7 +89,7 @@ def make_step(stage: Stage, number: int, seed: int, steps: int) -> Callable:
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
         parameters, optimiser, memory, number = kept
-        return Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}
+        return devices.whole((Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}))
 
     @functools.partial(eqx.filter_jit, donate="all-except-first")
     def run(fixed: tuple[Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:

@@ -20,6 +20,7 @@ from keycld.evaluation import frame_errors, predict, valid_prediction_time, vali
 from keycld.models import ModelConfig, Scene, config_for
 from keycld.models.base import AbstractModel
 from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays, read_position
+from keycld.training.devices import use_devices
 from keycld.training.loop import train_stages
 from keycld.training.memory import keep_freed_memory
 from keycld.training.run_folder import RunConfig, open_run, read_config, refuse_failed
@@ -38,6 +39,7 @@ def train(
     config: ModelConfig | None = None,
     *,
     seed: int = 0,
+    devices: int = 1,
     track: str = "none",
     checkpoint_seconds: float = 60.0,
     log_every: int = 25,
@@ -51,6 +53,8 @@ def train(
         out: run folder.
         config: the model and its training; by default `config_for("keycld", "fast")`.
         seed: of weights and data order. Same seed, machine and settings: same bits.
+        devices: number of devices that share the clips of each step; another number may resume the run. The losses are
+            those of one device up to rounding.
         track: `"none"`, `"wandb"`, `"trackio"` or `"tensorboard"`.
         checkpoint_seconds: time between checkpoints, and about the most that a killed run loses.
         log_every: steps between lines of `metrics.jsonl`.
@@ -67,6 +71,7 @@ def train(
     if log_every < 1:
         raise KeycldError(f"log_every is a number of steps, at least 1, not {log_every}.")
     keep_freed_memory()
+    shared = use_devices(devices)
     folder, dataset = Path(out), open_data(data)
     config = (config or config_for()).completed(dataset)
     source = dataset.training_data(seed)
@@ -74,6 +79,7 @@ def train(
     stages = config.stages(scene)
     for stage in stages:
         stage.sampler.check(source.at(0))
+        shared.check(stage, source.at(0))
     # Errors of the recipe are raised before the folder is made.
     blank = _blank(config, scene)
     for stage in stages:
@@ -92,6 +98,7 @@ def train(
         epsilon=threshold,
         steps_per_dispatch=_STEPS_PER_DISPATCH,
         checkpoint_seconds=checkpoint_seconds,
+        devices=devices,
         command=shlex.join(sys.argv),
     )
     with locked(folder / ".lock") as mine:
@@ -105,6 +112,7 @@ def train(
                 stages,
                 source,
                 folder,
+                devices=shared,
                 seed=seed,
                 steps_per_dispatch=_STEPS_PER_DISPATCH,
                 checkpoint_seconds=checkpoint_seconds,

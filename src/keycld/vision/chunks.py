@@ -35,20 +35,26 @@ def mean_in_chunks(
         return total(weights, elements, jnp.ones(count)) / count
     chunks = -(-count // at_once)
     size = -(-count // chunks)
-    counts = (jnp.arange(chunks * size) < count).astype(jnp.float32).reshape(chunks, size)
+    counts = (jnp.arange(chunks * size) < count).astype(jnp.float32).reshape(size, chunks).T
 
     def forward(weights: Any, elements: Any) -> tuple[Array, tuple[Any, Any]]:
         last = jnp.minimum(jnp.arange(chunks * size), count - 1)
-        filled = jax.tree.map(lambda leaf: leaf[last].reshape(chunks, size, *leaf.shape[1:]), elements)
+
+        def split(leaf: Array) -> Array:
+            # Neighbours go to different chunks: devices that have a part of the elements each share every chunk.
+            filled = leaf if chunks * size == count else leaf[last]
+            return filled.reshape(size, chunks, *leaf.shape[1:]).swapaxes(0, 1)
+
+        def join(parts: Array) -> Array:
+            return parts.swapaxes(0, 1).reshape(chunks * size, *parts.shape[2:])[:count]
 
         def add(sums: tuple[Array, Any], chunk: tuple[Any, Array]) -> tuple[tuple[Array, Any], Any]:
             value, (by_weights, by_elements) = jax.value_and_grad(total, argnums=(0, 1))(weights, *chunk)
             return (sums[0] + value, jax.tree.map(jnp.add, sums[1], by_weights)), by_elements
 
         zeros = (jnp.zeros(()), jax.tree.map(jnp.zeros_like, weights))
-        (value, by_weights), by_elements = jax.lax.scan(add, zeros, (filled, counts))
-        joined = jax.tree.map(lambda leaf: leaf.reshape(chunks * size, *leaf.shape[2:])[:count], by_elements)
-        return value / count, (by_weights, joined)
+        (value, by_weights), by_elements = jax.lax.scan(add, zeros, (jax.tree.map(split, elements), counts))
+        return value / count, (by_weights, jax.tree.map(join, by_elements))
 
     def backward(slopes: tuple[Any, Any], cotangent: Array) -> tuple[Any, Any]:
         return jax.tree.map(lambda slope: cotangent / count * slope, slopes)

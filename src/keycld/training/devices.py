@@ -1,0 +1,103 @@
+"""The devices that share each batch of a training."""
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import PyTree
+
+from keycld._errors import KeycldError
+from keycld.data import Resident
+from keycld.stages import Stage
+
+_CLIPS = "clips"
+
+
+@dataclasses.dataclass(frozen=True)
+class Devices:
+    """Devices that each take an equal part of the clips of a step: data parallelism.
+
+    All of them hold the parameters, the optimiser's state and the resident trajectories. A step is one program for the
+    whole batch, which XLA divides, so that terms which couple clips are those of one device, up to rounding. What
+    happens between steps (least-squares fits, cached keypoints, scores) happens on the first device alone.
+
+    Attributes:
+        mesh: None: one device, and nothing is moved or divided.
+    """
+
+    mesh: Mesh | None = None
+
+    @property
+    def count(self) -> int:
+        """The number of devices."""
+        return 1 if self.mesh is None else self.mesh.size
+
+    def everywhere(self, tree: PyTree) -> PyTree:
+        """Return the arrays of a pytree on all devices; those that are there already stay as they are."""
+        if self.mesh is None:
+            return tree
+        whole = NamedSharding(self.mesh, PartitionSpec())
+
+        def copied(leaf: Any) -> Any:
+            if not eqx.is_array(leaf) or leaf.sharding == whole:
+                return leaf
+            return jax.device_put(leaf, whole)
+
+        return jax.tree.map(copied, tree)
+
+    def here(self, tree: PyTree) -> PyTree:
+        """Return the first device's copy of what `everywhere` or a step returned."""
+        if self.mesh is None:
+            return tree
+        return jax.tree.map(lambda leaf: leaf.addressable_data(0) if eqx.is_array(leaf) else leaf, tree)
+
+    def divided(self, batch: PyTree) -> PyTree:
+        """Let each device compute its part of a batch, in a compiled function; the first axis counts the clips."""
+        return self._laid_out(batch, PartitionSpec(_CLIPS))
+
+    def whole(self, tree: PyTree) -> PyTree:
+        """Let each device have all of an outcome, in a compiled function."""
+        return self._laid_out(tree, PartitionSpec())
+
+    def check(self, stage: Stage, data: Resident) -> None:
+        """Refuse a stage whose clips cannot be shared equally.
+
+        Raises:
+            KeycldError: their number is no multiple of that of the devices.
+        """
+        clips = eqx.filter_eval_shape(stage.sampler, data, jax.random.key(0), jax.numpy.array(0))
+        batch = clips.index.shape[0]
+        if stage.steps and batch % self.count:
+            raise KeycldError(
+                f"stage '{stage.name}' takes {batch} clips a step, which {self.count} devices cannot share equally: "
+                f"set its batch to a multiple of {self.count}, or take fewer devices."
+            )
+
+    def _laid_out(self, tree: PyTree, how: PartitionSpec) -> PyTree:
+        if self.mesh is None:
+            return tree
+        layout = NamedSharding(self.mesh, how)
+        return jax.tree.map(lambda leaf: jax.lax.with_sharding_constraint(leaf, layout), tree)
+
+
+def use_devices(count: int) -> Devices:
+    """Return the first devices of this machine.
+
+    Args:
+        count: how many.
+
+    Raises:
+        KeycldError: there are fewer.
+    """
+    found = jax.local_devices()
+    if not 1 <= count <= len(found):
+        kind = found[0].platform
+        how = f", or simulate more with XLA_FLAGS=--xla_force_host_platform_device_count={count}" * (kind == "cpu")
+        raise KeycldError(
+            f"--devices is a number from 1 to {len(found)}, those of this machine ({kind}), not {count}: take "
+            f"fewer{how}."
+        )
+    return Devices() if count == 1 else Devices(Mesh(np.array(found[:count]), (_CLIPS,)))
