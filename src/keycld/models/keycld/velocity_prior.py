@@ -10,8 +10,10 @@ from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, 
 
 # ν. Observation errors have heavy tails: on acrobot and cartpole their quantiles are those of Student's t with 4.
 _TAIL = 4
-# Times since rest in units of τ. The first is what the recordings show; the others are motions taken up later.
+# Times since rest in units of τ, and how far the true one may be from it: half of the gaps between them. The first is
+# what the recordings show; the others are motions taken up later.
 _TIMES = np.array([1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0])
+_APART = np.array([0.0, 0.5, 0.5, 0.75, 1.0, 1.25, 2.0, 2.5])
 # The prior probability of the first time is one half of that of an arbitrary velocity; the later ones share as much.
 _WEIGHTS = np.array([0.5, *(0.5 / 7,) * 7])
 
@@ -24,17 +26,19 @@ class VelocityPrior(eqx.Module):
     give the velocity to a few hundredths of a pixel a frame, and this error limits how long a prediction is valid.
     Bayes' rule, approximated, with n degrees of freedom and the times t_j = k_j τ, k = 1, 2, 3, 4, 6, 8, 11, 16:
 
-        v = t_j a + b_j,  b_j ~ N(0, k_j² σ_b²), weight π_j;   or   v ~ N(0, σ_v²), weight 1
-        v_s = v + e,  e ~ Student's t_ν(0, σ_s²);   d_j = v_s − t_j a,   s_j² = σ_s² + k_j² σ_b²
-        p_j = π_j s_j⁻ⁿ (1 + |d_j|²/ν s_j²)^(−(ν+n)/2),   p_v = σ_v⁻ⁿ exp(−|v_s|²/2σ_v²),   r_j = p_j / (p_v + Σ p_i)
-        v̂ = v_s − Σ r_j w_j σ_s² / (w_j σ_s² + k_j² σ_b²) d_j,   w_j = (ν + |d_j|²/s_j²) / (ν + n)
+        v = t a + b_j,  t ~ N(t_j, δ_j²), b_j ~ N(0, k_j² σ_b²), weight π_j;   or   v ~ N(0, σ_v²), weight 1
+        v_s = v + e,  e ~ Student's t_ν(0, σ_s²);   d_j = v_s − t_j a = d_∥ + d_⊥, along a and across it
+        q_⊥ = k_j² σ_b², q_∥ = q_⊥ + δ_j² |a|²,   s² = σ_s² + q,   D_j = |d_∥|²/s_∥² + |d_⊥|²/s_⊥²
+        p_j = π_j s_∥⁻¹ s_⊥¹⁻ⁿ (1 + D_j/ν)^(−(ν+n)/2),   p_v = σ_v⁻ⁿ exp(−|v_s|²/2σ_v²),   r_j = p_j / (p_v + Σ p_i)
+        v̂ = v_s − Σ r_j [w_j σ_s² / (w_j σ_s² + q)] d_j for both parts of d_j,   w_j = (ν + D_j) / (ν + n)
 
-    with π_1 = 1/2 and the other π_j = 1/14. The later times keep a motion that was taken up a few frames after rest
-    from being pulled back to t = τ. An observed velocity v_s that is far from all t_j a stays as observed. The weight
-    w_j estimates the size of the error e. Approximations: b_j + e is treated as one Student's t, its normalisation
-    relative to the normal distribution is left out (1.06 for n = 1, 1 for n = 2), σ_s is neglected compared with σ_v,
-    and a is that of the first frame. The numbers are measured on training recordings (`measure_velocity_prior`), not
-    trained; losses use the observed velocity. Ours, in no paper.
+    with π_1 = 1/2, the other π_j = 1/14, δ_1 = 0 and the other δ_j half of the gaps between the times. The later times
+    keep a motion that was taken up a few frames after rest from being pulled back to t = τ, and tell that its velocity
+    is about parallel to a. An observed velocity v_s that is far from all t a stays as observed. The weight w_j estimates
+    the size of the error e. Approximations: b_j + e is treated as one Student's t, its normalisation relative to the
+    normal distribution is left out (1.06 for n = 1, 1 for n = 2), σ_s is neglected compared with σ_v, and a is that of
+    the first frame. The numbers are measured on training recordings (`measure_velocity_prior`), not trained; losses use
+    the observed velocity. Ours, in no paper.
 
     Attributes:
         elapsed: τ, seconds; about dt where the first frame is one step after rest.
@@ -78,15 +82,19 @@ class VelocityPrior(eqx.Module):
             observed, mixed = self.observation**2, jnp.zeros((dim, dim))
         else:
             observed, mixed = jnp.trace(covariance[dim:, dim:]) / law.freedom, covariance[:dim, dim:]
-        spread = (self.spread * _TIMES) ** 2
+        size = rest @ rest
+        along = (off @ rest / (size + 1e-12))[:, None] * rest[None]
+        parts = jnp.stack([jnp.sum(along**2, -1), jnp.sum((off - along) ** 2, -1)])
+        across = (self.spread * _TIMES) ** 2
+        spread = jnp.stack([across + (self.elapsed * _APART) ** 2 * size, across])
         variance = observed + spread
-        far = jnp.sum(off**2, -1) / variance
-        released = (
-            np.log(_WEIGHTS) - ((_TAIL + law.freedom) * jnp.log1p(far / _TAIL) + law.freedom * jnp.log(variance)) / 2
-        )
+        far = jnp.sum(parts / variance, 0)
+        volume = jnp.log(variance[0]) + (law.freedom - 1) * jnp.log(variance[1])
+        released = np.log(_WEIGHTS) - ((_TAIL + law.freedom) * jnp.log1p(far / _TAIL) + volume) / 2
         moving = -((v @ v) / self.speed**2 + law.freedom * jnp.log(self.speed**2)) / 2
         share = jax.nn.softmax(jnp.append(released, moving))[:-1]
         error = (_TAIL + far) / (_TAIL + law.freedom) * observed
-        pull = (share * error / (error + spread)) @ off
+        forward, aside = share[None] * error[None] / (error[None] + spread)
+        pull = forward @ along + aside @ (off - along)
         carried = jnp.matmul(mixed, pull, precision="highest") / (observed + 1e-12)
         return State(Motion(x - carried, v - pull), state.parameters)
