@@ -34,11 +34,11 @@ class VelocityPrior(eqx.Module):
 
     with π_1 = 1/2, the other π_j = 1/14, δ_1 = 0 and the other δ_j half of the gaps between the times. The later times
     keep a motion that was taken up a few frames after rest from being pulled back to t = τ, and tell that its velocity
-    is about parallel to a. An observed velocity v_s that is far from all t a stays as observed. The weight w_j estimates
-    the size of the error e. Approximations: b_j + e is treated as one Student's t, its normalisation relative to the
-    normal distribution is left out (1.06 for n = 1, 1 for n = 2), σ_s is neglected compared with σ_v, and a is that of
-    the first frame. The numbers are measured on training recordings (`measure_velocity_prior`), not trained; losses use
-    the observed velocity. Ours, in no paper.
+    is about parallel to a. An observed velocity v_s that is far from all t a stays as observed. The weight w_j
+    estimates the size of the error e. Approximations: b_j + e is treated as one Student's t, its normalisation relative
+    to the normal distribution is left out (1.06 for n = 1, 1 for n = 2), σ_s is neglected compared with σ_v, and a is
+    that of the first frame. The numbers are measured on training recordings (`measure_velocity_prior`), not trained;
+    losses use the observed velocity. Ours, in no paper.
 
     Attributes:
         elapsed: τ, seconds; about dt where the first frame is one step after rest.
