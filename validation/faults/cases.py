@@ -10,10 +10,14 @@ import numpy as np
 
 
 class Target(NamedTuple):
-    """A file to damage, and the arguments of the verbs that read it; `{work}` stands for the folder of the case."""
+    """A file to damage, and the arguments of the verbs that read it; `{work}` stands for the folder of the case.
+
+    `without` names files that a case lacks: they would only cost time.
+    """
 
     file: str
     verbs: tuple[tuple[str, ...], ...]
+    without: tuple[str, ...] = ()
 
 
 _EVAL = ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10")
@@ -28,25 +32,30 @@ _SUITE = ("data", "import", "{work}/matching_pennies", "--out", "{work}/imported
 _BENCH = ("--root", "{work}/bench", "--results", "{work}/results", "--systems", "pendulum", "--models", "keycld",
           "--seeds", "0")  # fmt: skip
 
+_METRICS = "run/metrics.jsonl"
+_SCORES = ("run/evaluation/test@10.json", "run/evaluation/test@10.npz")
+_SWEEPS = ("run/evaluation/sweeps.json", "run/evaluation/sweeps.npz")
+
 TARGETS = (
-    Target("data/train.h5", (_CHECK, _SHOW, _EVAL)),
-    Target("data/validation.h5", (_CHECK, _EVAL)),
+    Target("data/train.h5", (_CHECK, _SHOW, _EVAL, _TRAIN)),
+    Target("data/validation.h5", (_CHECK, _EVAL, _TRAIN)),
     Target("data/test.h5", (_CHECK, _PREDICT, _EVAL)),
     Target("data/sweeps.h5", (_CHECK, _EVAL)),
     Target("data/statistics.json", (_CHECK, _SHOW)),
-    Target("data/constraints.toml", (_TRAIN,)),
-    Target("run/config.json", (_REPORT, _PREDICT, _TRAIN)),
-    Target("run/metrics.jsonl", (_REPORT,)),
-    Target("run/environment.json", (_REPORT,)),
-    Target("run/verdict.json", (_PREDICT,)),
-    Target("run/checkpoints/latest", (_PREDICT, _TRAIN)),
+    Target("data/constraints.toml", ((*_TRAIN, "--constraints", "{work}/data/constraints.toml"),
+                                     (*_VIDEO, "--constraints", "{work}/data/constraints.toml"))),
+    Target("run/config.json", (_REPORT, _PREDICT, _TRAIN, _EVAL), (_METRICS, *_SCORES, *_SWEEPS)),
+    Target("run/metrics.jsonl", (_REPORT, _TRAIN), (*_SCORES, *_SWEEPS)),
+    Target("run/environment.json", (_REPORT,), (_METRICS, *_SCORES, *_SWEEPS)),
+    Target("run/verdict.json", (_PREDICT, _EVAL)),
+    Target("run/checkpoints/latest", (_PREDICT, _TRAIN, _EVAL)),
     Target("run/checkpoints/C/position.json", (_PREDICT, _TRAIN)),
-    Target("run/checkpoints/C/weights.safetensors", (_PREDICT,)),
+    Target("run/checkpoints/C/weights.safetensors", (_PREDICT, _TRAIN)),
     Target("run/checkpoints/C/state.safetensors", (_TRAIN,)),
-    Target("run/evaluation/test@10.json", (_REPORT,)),
-    Target("run/evaluation/test@10.npz", (_REPORT,)),
-    Target("run/evaluation/sweeps.json", (_REPORT,)),
-    Target("run/evaluation/sweeps.npz", (_REPORT,)),
+    Target("run/evaluation/test@10.json", (_REPORT,), (_METRICS, *_SWEEPS)),
+    Target("run/evaluation/test@10.npz", (_REPORT,), (_METRICS, *_SWEEPS)),
+    Target("run/evaluation/sweeps.json", (_REPORT,), (_METRICS, *_SCORES)),
+    Target("run/evaluation/sweeps.npz", (_REPORT,), (_METRICS, *_SCORES)),
     Target("swing.mp4", (_VIDEO,)),
     Target("matching_pennies/features.txt", (_SUITE,)),
     Target("matching_pennies/train.tfrecord", (_SUITE,)),

@@ -79,17 +79,17 @@ def kills(base: Path, name: str, limit: float) -> dict[str, Any]:
     outer = fresh(base)
     words = [word.replace("{work}", str(outer / "work")) for word in VERBS[name]]
     before = contents(outer / "work")
-    whole = run_verb(words, outer, base, limit)
+    whole = run_verb(words, outer, limit)
     expected, lost, half, other, moment = contents(outer / "work"), 0, 0, 0, 0
     assert whole["exit"] == 0, whole
     while True:
         moment += 1
         outer = fresh(base)
-        killed = run_verb(words, outer, base, limit, lambda n=moment: die_at(n))
+        killed = run_verb(words, outer, limit, lambda n=moment: die_at(n))
         left = contents(outer / "work")
         lost += sum(path not in left for path in before)
         half += sum(digest not in (before.get(path), expected.get(path)) for path, digest in left.items())
-        again = run_verb(words, outer, base, limit)
+        again = run_verb(words, outer, limit)
         orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
         done = again["exit"] == 0 or "already holds data" in again["said"]
         other += not done or contents(outer / "work") != expected or bool(orphans)
@@ -103,11 +103,11 @@ def full(base: Path, name: str, limit: float) -> dict[str, Any]:
     words = [word.replace("{work}", str(outer / "work")) for word in VERBS[name]]
     before = contents(outer / "work")
     found = {"tries": 0, "faults": 0, "half": 0}
-    run_verb(words, outer, base, limit)
+    run_verb(words, outer, limit)
     expected = contents(outer / "work")
     for size in (0, 1, 100, 1000, 3000, 10_000, 30_000, 100_000):
         outer = fresh(base)
-        ended = run_verb(words, outer, base, limit, lambda n=size: resource.setrlimit(resource.RLIMIT_FSIZE, (n, n)))
+        ended = run_verb(words, outer, limit, lambda n=size: resource.setrlimit(resource.RLIMIT_FSIZE, (n, n)))
         left = contents(outer / "work")
         found["tries"] += 1
         if ended["faults"] or ended["unforeseen"]:
@@ -125,8 +125,7 @@ def main() -> None:
     parser.add_argument("--limit", action="store_true")
     options = parser.parse_args()
     base = options.work.resolve()
-    (base / "tmp").mkdir(exist_ok=True)
-    prepare()
+    prepare(base)
     for name in options.verbs:
         found = (full if options.limit else kills)(base, name, 120.0)
         print(json.dumps({name: found}), flush=True)
