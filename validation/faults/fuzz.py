@@ -88,6 +88,11 @@ class Worker:
             code, peak, outside = self.end(), 0, []
         return judged(code, hung, bytes(said), peak, since) | {"outside": outside}
 
+    def leave(self) -> None:
+        """Leave the folder of the last verb."""
+        if self.alive:
+            self.run(["--version"], Path("/"), 10.0)
+
     @property
     def alive(self) -> bool:
         """Whether the process can run another verb."""

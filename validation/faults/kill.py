@@ -3,7 +3,8 @@
 `python -m validation.faults.kill --work FOLDER` after `fuzz`, which makes the whole files in FOLDER. Before each event
 that changes files, of the verb or a Python process that it starts, the folder is copied as it is: what signal 9 would
 leave there. From each copy the same command must give the files of a run that was not killed. `--limit` lets every
-file end at some sizes instead, as on a full disk, which must be told in one sentence.
+file end at some sizes instead, as on a full disk, and `--disk` gives a disk in memory that is read-only or has little
+room left (for an administrator only). Both must be told in one sentence, and leave no half files.
 """
 
 import argparse
@@ -112,17 +113,55 @@ def full(base: Path, name: str, limit: float) -> dict[str, Any]:
     return found
 
 
+def disks(base: Path, name: str, limit: float) -> dict[str, Any]:
+    """Run a verb on disks that are read-only or have some KiB left, and look at what it says and leaves."""
+    outer = base / "disk"
+    outer.mkdir(exist_ok=True)
+    words = [word.replace("{work}", str(outer / "work")) for word in VERBS[name]]
+    found: dict[str, Any] = {"tries": 0, "refused": 0, "faults": 0, "half": 0, "left_over": 0}
+    worker, expected = Worker(base), {}
+    for room in ("plenty", "none at all", 0, 4, 16, 64, 256, 1024):
+        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200m", "faults", outer], check=True)
+        try:
+            shutil.copytree(base / "original", outer / "work")
+            before, disk = contents(outer / "work"), os.statvfs(outer)
+            used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize // 1024
+            option = {"plenty": "size=200m", "none at all": "ro"}.get(str(room)) or f"size={used + int(room)}k"
+            subprocess.run(["mount", "-o", f"remount,{option}", outer], check=True)
+            worker = worker if worker.alive else Worker(base)
+            ended = worker.run(words, outer, limit)
+            left = contents(outer / "work")
+            expected = expected or left
+            orphans = list(outer.rglob(".*partial"))
+        finally:
+            worker.leave()
+            subprocess.run(["umount", outer], check=True)
+        half = [path for path, digest in left.items() if digest not in (before.get(path), expected.get(path))]
+        found["tries"] += 1
+        found["refused"] += ended["exit"] == 2
+        found["faults"] += bool(ended["faults"] or ended["unforeseen"])
+        found["half"] += len(half) + len(before.keys() - left.keys())
+        found["left_over"] += len(orphans)
+        if ended["faults"] or ended["unforeseen"] or half or orphans:
+            print(name, room, ended, half, orphans, file=sys.stderr, flush=True)
+    if worker.alive:
+        worker.end()
+    return found
+
+
 def main() -> None:
     """Print what every verb did."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--verbs", nargs="*", default=list(VERBS))
-    parser.add_argument("--limit", action="store_true")
+    way = parser.add_mutually_exclusive_group()
+    way.add_argument("--limit", action="store_const", dest="way", const=full)
+    way.add_argument("--disk", action="store_const", dest="way", const=disks, default=kills)
     options = parser.parse_args()
     base = options.work.resolve()
     prepare(base)
     for name in options.verbs:
-        found = (full if options.limit else kills)(base, name, 120.0)
+        found = options.way(base, name, 120.0)
         print(json.dumps({name: found}), flush=True)
 
 
