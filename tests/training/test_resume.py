@@ -52,13 +52,13 @@ def cut(root, stage: int, done: bool):
     """Copy the run as a kill after a checkpoint within, or at the end of, a stage would leave it."""
     copy = root / f"cut-{stage}-{done}"
     shutil.copytree(root / "whole", copy)
-    for checkpoint in sorted((copy / "checkpoints").iterdir()):
-        if checkpoint.is_dir():
-            position = json.loads((checkpoint / "position.json").read_text())
-            if position["stage"] == stage and position["done"] == done:
-                (copy / "checkpoints" / "latest").write_text(checkpoint.name)
-                return copy
-    raise AssertionError(f"no checkpoint of stage {stage}")
+    checkpoints = sorted(path for path in (copy / "checkpoints").iterdir() if path.is_dir())
+    positions = [json.loads((path / "position.json").read_text()) for path in checkpoints]
+    last = [(position["stage"], position["done"]) for position in positions].index((stage, done))
+    for later in checkpoints[last + 1 :]:
+        shutil.rmtree(later)
+    (copy / "checkpoints" / "latest").write_text(checkpoints[last].name)
+    return copy
 
 
 def test_a_profile_is_written_for_each_stage_and_changes_nothing(whole):

@@ -10,10 +10,14 @@ import numpy as np
 
 
 class Target(NamedTuple):
-    """A file to damage, and the arguments of the verbs that read it; `{work}` stands for the folder of the case."""
+    """A file to damage, and the arguments of the verbs that read it; `{work}` stands for the folder of the case.
+
+    `without` names files that a case lacks: they would only cost time.
+    """
 
     file: str
     verbs: tuple[tuple[str, ...], ...]
+    without: tuple[str, ...] = ()
 
 
 _EVAL = ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10")
@@ -28,25 +32,30 @@ _SUITE = ("data", "import", "{work}/matching_pennies", "--out", "{work}/imported
 _BENCH = ("--root", "{work}/bench", "--results", "{work}/results", "--systems", "pendulum", "--models", "keycld",
           "--seeds", "0")  # fmt: skip
 
+_METRICS = "run/metrics.jsonl"
+_SCORES = ("run/evaluation/test@10.json", "run/evaluation/test@10.npz")
+_SWEEPS = ("run/evaluation/sweeps.json", "run/evaluation/sweeps.npz")
+
 TARGETS = (
-    Target("data/train.h5", (_CHECK, _SHOW, _EVAL)),
-    Target("data/validation.h5", (_CHECK, _EVAL)),
+    Target("data/train.h5", (_CHECK, _SHOW, _EVAL, _TRAIN)),
+    Target("data/validation.h5", (_CHECK, _EVAL, _TRAIN)),
     Target("data/test.h5", (_CHECK, _PREDICT, _EVAL)),
     Target("data/sweeps.h5", (_CHECK, _EVAL)),
     Target("data/statistics.json", (_CHECK, _SHOW)),
-    Target("data/constraints.toml", (_TRAIN,)),
-    Target("run/config.json", (_REPORT, _PREDICT, _TRAIN)),
-    Target("run/metrics.jsonl", (_REPORT,)),
-    Target("run/environment.json", (_REPORT,)),
-    Target("run/verdict.json", (_PREDICT,)),
-    Target("run/checkpoints/latest", (_PREDICT, _TRAIN)),
+    Target("data/constraints.toml", ((*_TRAIN, "--constraints", "{work}/data/constraints.toml"),
+                                     (*_VIDEO, "--constraints", "{work}/data/constraints.toml"))),
+    Target("run/config.json", (_REPORT, _PREDICT, _TRAIN, _EVAL), (_METRICS, *_SCORES, *_SWEEPS)),
+    Target("run/metrics.jsonl", (_REPORT, _TRAIN), (*_SCORES, *_SWEEPS)),
+    Target("run/environment.json", (_REPORT,), (_METRICS, *_SCORES, *_SWEEPS)),
+    Target("run/verdict.json", (_PREDICT, _EVAL)),
+    Target("run/checkpoints/latest", (_PREDICT, _TRAIN, _EVAL)),
     Target("run/checkpoints/C/position.json", (_PREDICT, _TRAIN)),
-    Target("run/checkpoints/C/weights.safetensors", (_PREDICT,)),
+    Target("run/checkpoints/C/weights.safetensors", (_PREDICT, _TRAIN)),
     Target("run/checkpoints/C/state.safetensors", (_TRAIN,)),
-    Target("run/evaluation/test@10.json", (_REPORT,)),
-    Target("run/evaluation/test@10.npz", (_REPORT,)),
-    Target("run/evaluation/sweeps.json", (_REPORT,)),
-    Target("run/evaluation/sweeps.npz", (_REPORT,)),
+    Target("run/evaluation/test@10.json", (_REPORT,), (_METRICS, *_SWEEPS)),
+    Target("run/evaluation/test@10.npz", (_REPORT,), (_METRICS, *_SWEEPS)),
+    Target("run/evaluation/sweeps.json", (_REPORT,), (_METRICS, *_SCORES)),
+    Target("run/evaluation/sweeps.npz", (_REPORT,), (_METRICS, *_SCORES)),
     Target("swing.mp4", (_VIDEO,)),
     Target("matching_pennies/features.txt", (_SUITE,)),
     Target("matching_pennies/train.tfrecord", (_SUITE,)),
@@ -60,6 +69,7 @@ TARGETS = (
 def make_originals(folder: Path, repository: Path) -> None:
     """Make one whole file of every kind: a small data set, a trained and evaluated run, a video, a suite, results."""
     sys.path.insert(0, str(repository / "tests"))
+    from keycld.benchmarks import suite_named
     from keycld.data import Trajectories, open_data, read, write
     from keycld.data.describe.statistics import split_statistics
     from keycld.drawing import save_image, save_movie
@@ -107,9 +117,12 @@ def make_originals(folder: Path, repository: Path) -> None:
     save_movie(folder / "swing.mp4", movie, fps=25, scale=1)
     save_image(folder / "goal.png", pictures[0])
     shutil.copytree(repository / "tests/data/golden/tfrecord/matching_pennies", folder / "matching_pennies")
-    stored = repository / "results/keycld/fast/pendulum-keycld-0.json"
-    (folder / "results/keycld/fast").mkdir(parents=True)
-    shutil.copy(stored, folder / "results/keycld/fast")
+    name = "results/keycld/fast/pendulum-keycld-0.json"
+    (folder / name).parent.mkdir(parents=True)
+    # As if it were of today's settings.
+    stored = json.loads((repository / name).read_text())
+    experiment = suite_named("keycld").select(systems=("pendulum",), models=("keycld",), seeds=(0,))[0]
+    _json(folder / name, stored | {"config_hash": experiment.hash()})
     (folder / "bench").mkdir()
 
 

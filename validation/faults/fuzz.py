@@ -1,8 +1,10 @@
 """Damaged files of every format for every verb that reads them.
 
 `python -m validation.faults.fuzz --cases 10000 --seed 0 --work FOLDER` from the repository. A case is a function of the
-seed and its number. Results are added to FOLDER/fuzz.jsonl, and the same command continues. Each case runs in a forked
-process, which must end within its time with code 0 or 2, and with one sentence if with 2.
+seed and its number. Results are added to FOLDER/fuzz.jsonl, and the same command continues. Each case must end within
+its time with code 0 or 2, and with one sentence if with 2. The time is that of the processor, because a machine may be
+shared; a case may wait as well, but not long. A forked process runs many cases, in which imports and
+compiled programs are warm; it is replaced when it hangs, dies or grows.
 """
 
 import argparse
@@ -10,18 +12,27 @@ import contextlib
 import json
 import os
 import resource
+import select
 import shutil
 import signal
+import subprocess
 import sys
 import time
+import traceback
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from validation.faults.events import changed_path
+
 REPOSITORY = Path(__file__).resolve().parents[2]
 _EXTRA_SECONDS = 10.0
+# Wall seconds for each second of the processor.
+_WAITING = 8.0
 _MOST_BYTES = 2e9
+# A process with more bytes than this, or after this many cases, is replaced.
+_GROWN, _ENOUGH = 1.2e9, 500
 
 
 def chosen(number: int, seed: int) -> tuple[Any, tuple[str, ...]]:
@@ -32,45 +43,144 @@ def chosen(number: int, seed: int) -> tuple[Any, tuple[str, ...]]:
     return target, target.verbs[(number // len(TARGETS) + seed) % len(target.verbs)]
 
 
-def run_case(number: int, seed: int, base: Path, usual: dict[str, float]) -> dict[str, Any]:
+class Worker:
+    """A forked process that runs verbs one after the other."""
+
+    def __init__(self, base: Path):
+        self.cases = 0
+        asked, self._ask = os.pipe()
+        self._answers, answer = os.pipe()
+        # A pipe: a limit on the size of files must not cut what is said.
+        self._said, speaking = os.pipe()
+        self._pid = os.fork()
+        if self._pid == 0:
+            for handle in (self._ask, self._answers, self._said):
+                os.close(handle)
+            _serve(base, asked, answer, speaking)
+        for handle in (asked, answer, speaking):
+            os.close(handle)
+        os.set_blocking(self._said, False)
+
+    def run(self, words: list[str], outer: Path, limit: float) -> dict[str, Any]:
+        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on."""
+        since, before = time.monotonic(), _processor_seconds(self._pid)
+        os.write(self._ask, json.dumps([words, str(outer)]).encode() + b"\n")
+        said, answer, hung = bytearray(), b"", False
+        while not answer.endswith(b"\n"):
+            ready = select.select([self._answers, self._said], [], [], 0.2)[0]
+            said += _drained(self._said)
+            if self._answers in ready:
+                part = os.read(self._answers, 2**16)
+                if not part:
+                    break
+                answer += part
+            used = _processor_seconds(self._pid) - before
+            hung = used > limit or time.monotonic() > since + _WAITING * limit
+            if hung:
+                break
+        said += _drained(self._said)
+        self.cases += 1
+        if answer.endswith(b"\n"):
+            code, peak, outside = json.loads(answer)
+            if peak > _GROWN or self.cases == _ENOUGH:
+                self.end()
+        else:
+            code, peak, outside = self.end(), 0, []
+        return judged(code, hung, bytes(said), peak, since) | {"outside": outside}
+
+    def leave(self) -> None:
+        """Leave the folder of the last verb."""
+        if self.alive:
+            self.run(["--version"], Path("/"), 10.0)
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process can run another verb."""
+        return self._pid > 0
+
+    def end(self) -> int:
+        """End the process and return its code."""
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self._pid, signal.SIGKILL)
+        _, status = os.waitpid(self._pid, 0)
+        for handle in (self._ask, self._answers, self._said):
+            os.close(handle)
+        self._pid = 0
+        return os.waitstatus_to_exitcode(status)
+
+
+def _serve(base: Path, asked: int, answer: int, speaking: int) -> None:
+    """Run verbs in this process until nobody asks."""
+    _detach(speaking)
+    outer = ""
+    outside: list[str] = []
+
+    def watch(event: str, arguments: tuple[Any, ...]) -> None:
+        path = changed_path(event, arguments)
+        if path is not None and not path.startswith((f"{outer}/work", str(base / "tmp"), "/dev/", "/proc/")):
+            outside.append(path)
+
+    sys.addaudithook(watch)
+    with os.fdopen(asked) as orders:
+        for line in orders:
+            words, outer = json.loads(line)
+            outside.clear()
+            os.chdir(outer)
+            Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+            code = _code(words)
+            status = Path("/proc/self/status").read_text()
+            peak = int(status.partition("VmHWM:")[2].split()[0]) * 1024
+            os.write(answer, json.dumps([code, peak, outside[:5]]).encode() + b"\n")
+    os._exit(0)
+
+
+def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str, float]) -> dict[str, Any]:
     """Damage a copy of the originals, run the verb, and return what happened."""
     from validation.faults.mutate import damage
 
     target, words = chosen(number, seed)
-    outer = base / "case" / "a" / "b" / "c"
-    shutil.rmtree(base / "case", ignore_errors=True)
+    # A folder of its own: nothing may be remembered by its path.
+    case = base / "case" / str(number)
+    outer = case / "a" / "b" / "c"
     outer.mkdir(parents=True)
     shutil.copytree(base / "original", outer / "work")
+    for name in target.without:
+        (outer / "work" / name).unlink()
     done = damage(outer / "work" / target.file, seed * 10**6 + number)
     limit = usual[" ".join(words)] + _EXTRA_SECONDS
-    found = run_verb([word.replace("{work}", str(outer / "work")) for word in words], outer, base, limit)
-    strangers = [str(path) for path in (base / "case").rglob("*") if outer / "work" not in (path, *path.parents)]
-    strangers = [path for path in strangers if Path(path) not in (outer, *outer.parents)]
-    return {"case": number, "file": target.file, "verb": " ".join(words[:2]), "damage": done, "outside": strangers,
-            "words": " ".join(words), **found}  # fmt: skip
+    found = worker.run([word.replace("{work}", str(outer / "work")) for word in words], outer, limit)
+    strangers = [path for path in case.rglob("*") if outer / "work" not in (path, *path.parents)]
+    found["outside"] += [str(path) for path in strangers if path not in (outer, *outer.parents)]
+    shutil.rmtree(case)
+    return {"case": number, "file": target.file, "verb": " ".join(words[:2]), "damage": done, "words": " ".join(words),
+            **found}  # fmt: skip
 
 
-def run_verb(
-    words: list[str], outer: Path, base: Path, limit: float, first: Callable[[], object] = lambda: None
-) -> dict[str, Any]:
-    """Run one verb in a forked process, which calls `first` before, and judge how it ends."""
+def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], object] = lambda: None) -> dict[str, Any]:
+    """Run one verb in a forked process of its own, which calls `first` before, and judge how it ends."""
     since = time.monotonic()
-    # A pipe: a limit on the size of files must not cut what is said.
     listening, speaking = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(listening)
-        _become(words, outer, base, first, speaking)
+        _detach(speaking)
+        os.chdir(outer)
+        first()
+        os._exit(_code(words))
     os.close(speaking)
     os.set_blocking(listening, False)
-    status, usage, said = _wait(child, since + limit, listening)
+    status, usage, said, hung = _wait(child, since + limit, listening)
     os.close(listening)
-    code = os.waitstatus_to_exitcode(status)
+    found = judged(os.waitstatus_to_exitcode(status), hung, said, usage.ru_maxrss * 1024, since)
+    return found | {"processor_seconds": round(usage.ru_utime + usage.ru_stime, 2)}
+
+
+def judged(code: int, hung: bool, said: bytes, peak: int, since: float) -> dict[str, Any]:
+    """Return how a verb ended, and what is wrong with that."""
     text = said.decode(errors="replace")
-    peak = usage.ru_maxrss * 1024
     verdicts = {
-        "hang": code == -signal.SIGKILL,
-        "crash": code < 0 and code != -signal.SIGKILL,
+        "hang": hung,
+        "crash": code < 0 and not hung,
         "traceback": "Traceback" in text,
         "code": code not in (0, 2) and code >= 0,
         "no sentence": code == 2 and "keycld: " not in text and "─" not in text,
@@ -83,57 +193,74 @@ def run_verb(
     }  # fmt: skip
 
 
-def _become(words: list[str], outer: Path, base: Path, first: Callable[[], object], handle: int) -> None:
-    """Run the verb in this process, which ends."""
+def _detach(speaking: int) -> None:
+    """Give this process a group of its own, no input, and the pipe for what it says."""
     os.setpgid(0, 0)
-    os.chdir(outer)
-    os.environ["TMPDIR"] = str(base / "tmp")
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     nothing = os.open(os.devnull, os.O_RDWR)
     os.dup2(nothing, 0)
     os.dup2(nothing, 1)
-    os.dup2(handle, 2)
-    code = 70
+    os.dup2(speaking, 2)
+
+
+def _code(words: list[str]) -> int:
+    """Run a verb in this process and return the code with which it would end."""
+    from keycld.cli.main import main
+
     try:
-        from keycld.cli.main import main
-
-        first()
-        code = main(words)
+        return main(words)
     except SystemExit as error:
-        code = int(error.code or 0)
+        return int(error.code or 0)
+    except BaseException:
+        traceback.print_exc()
+        return 70
     finally:
-        with contextlib.suppress(Exception):
-            sys.stderr.flush()
-        os._exit(code)
+        sys.stderr.flush()
 
 
-def _wait(child: int, until: float, listening: int) -> tuple[int, Any, bytes]:
+def _processor_seconds(pid: int) -> float:
+    """Return what a process and those that it has waited for have used."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
+
+
+def _drained(handle: int) -> bytes:
+    said = bytearray()
+    with contextlib.suppress(BlockingIOError):
+        while part := os.read(handle, 2**16):
+            said += part
+    return bytes(said)
+
+
+def _wait(child: int, until: float, listening: int) -> tuple[int, Any, bytes, bool]:
     said = bytearray()
     while True:
         pid, status, usage = os.wait4(child, os.WNOHANG)
-        with contextlib.suppress(BlockingIOError):
-            while part := os.read(listening, 2**16):
-                said += part
+        said += _drained(listening)
         if pid:
-            return status, usage, bytes(said)
+            return status, usage, bytes(said), False
         if time.monotonic() > until:
             with contextlib.suppress(ProcessLookupError):
                 os.killpg(child, signal.SIGKILL)
             _, status, usage = os.wait4(child, 0)
-            return status, usage, bytes(said)
+            return status, usage, bytes(said), True
         time.sleep(0.005)
 
 
 def usual_seconds(words: tuple[str, ...], base: Path) -> float:
-    """Return how long a verb takes on whole files."""
+    """Return how many seconds of the processor a verb takes on whole files in a new process."""
     outer = base / "case" / "whole"
-    shutil.rmtree(base / "case", ignore_errors=True)
+    shutil.rmtree(outer, ignore_errors=True)
     outer.mkdir(parents=True)
     shutil.copytree(base / "original", outer / "work")
-    found = run_verb([word.replace("{work}", str(outer / "work")) for word in words], outer, base, 300.0)
-    print(f"{' '.join(words)}: {found['seconds']} s on whole files, exit {found['exit']}", file=sys.stderr, flush=True)
+    found = run_verb([word.replace("{work}", str(outer / "work")) for word in words], outer, 300.0)
+    seconds = found["processor_seconds"]
+    print(f"{' '.join(words)}: {seconds} s on whole files, exit {found['exit']}", file=sys.stderr, flush=True)
     assert found["exit"] in (0, 2) and not found["faults"], found
-    return found["seconds"]
+    return seconds
 
 
 def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
@@ -160,18 +287,14 @@ def main() -> None:
     parser.add_argument("--work", type=Path, required=True)
     options = parser.parse_args()
     base = options.work.resolve()
-    (base / "tmp").mkdir(parents=True, exist_ok=True)
-    if not (base / "original").exists():
-        # In a process of its own: JAX may not have begun in the one that forks.
-        code = "import sys; from pathlib import Path; from validation.faults.cases import make_originals as m; "
-        code += "m(Path(sys.argv[1]), Path(sys.argv[2]))"
-        os.spawnv(os.P_WAIT, sys.executable, [sys.executable, "-c", code, str(base / "new"), str(REPOSITORY)])
-        (base / "new").rename(base / "original")
-    prepare()
-    usual: dict[str, float] = {}
+    prepare(base)
+    shutil.rmtree(base / "case", ignore_errors=True)
+    memory = base / "usual.json"
+    usual: dict[str, float] = json.loads(memory.read_text()) if memory.exists() else {}
     path = base / "fuzz.jsonl"
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     known = {line["case"] for line in lines}
+    worker = Worker(base)
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
             _, words = chosen(number, options.seed)
@@ -179,14 +302,25 @@ def main() -> None:
                 continue
             if " ".join(words) not in usual:
                 usual[" ".join(words)] = usual_seconds(words, base)
-            lines.append(run_case(number, options.seed, base, usual))
+                memory.write_text(json.dumps(usual))
+            worker = worker if worker.alive else Worker(base)
+            lines.append(run_case(worker, number, options.seed, base, usual))
             file.write(json.dumps(lines[-1]) + "\n")
             file.flush()
     print(json.dumps(summary(lines), indent=1))
 
 
-def prepare() -> None:
-    """Import what the verbs need, so that forked processes begin at once; JAX begins in each of them."""
+def prepare(base: Path) -> None:
+    """Make the whole files, and import what the verbs need; JAX begins in forked processes only."""
+    (base / "tmp").mkdir(parents=True, exist_ok=True)
+    os.environ |= {"TMPDIR": str(base / "tmp"), "MPLCONFIGDIR": str(base / "tmp" / "matplotlib"),
+                   "KEYCLD_COMPILE_CACHE": str(base / "tmp" / "compiled")}  # fmt: skip
+    if not (base / "original").exists():
+        code = "import sys; from pathlib import Path; from validation.faults.cases import make_originals as m; "
+        code += "m(Path(sys.argv[1]), Path(sys.argv[2]))"
+        shutil.rmtree(base / "new", ignore_errors=True)
+        subprocess.run([sys.executable, "-c", code, str(base / "new"), str(REPOSITORY)], check=True)
+        (base / "new").rename(base / "original")
     import keycld.benchmarks
     import keycld.cli.main
     import keycld.control

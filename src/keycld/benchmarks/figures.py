@@ -59,7 +59,8 @@ def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Prot
     for axes, (_, curves) in zip(figure.axes, panels, strict=False):
         values = np.concatenate([curve.y[curve.y > 0] for curve in curves])
         # The errors of given frames may be almost zero; a logarithmic axis should not extend to them.
-        axes.set_ylim(bottom=0.3 * float(values.min()), top=3.0 * float(values.max()))
+        if values.size:
+            axes.set_ylim(bottom=0.3 * float(values.min()), top=3.0 * float(values.max()))
     return figure
 
 

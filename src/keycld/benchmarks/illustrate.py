@@ -9,6 +9,7 @@ from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.figures import error_figure
 from keycld.benchmarks.paper_figures import PaperFigures, paper_figures
 from keycld.benchmarks.pictures import Gallery, frames_per_second, gallery, movie_of, sheet_of
+from keycld.benchmarks.status import count_states
 from keycld.benchmarks.table import data_labels
 from keycld.drawing import save_figure, save_image, save_movie
 from keycld.evaluation import Protocol
@@ -66,7 +67,11 @@ def illustrate(experiments: Sequence[Experiment], place: Place, folder: Path) ->
     for protocol in protocols:
         figure = error_figure(experiments, place, protocol)
         if figure is None:
-            raise KeycldError("none of these experiments is done, so there is nothing to plot: keycld bench run.")
+            stale = count_states(experiments, place).get("stale", 0)
+            also = f" ({stale} are of other settings, data or protocols)" if stale else ""
+            raise KeycldError(
+                f"none of these experiments is done{also}, so there is nothing to plot: keycld bench run."
+            )
         errors[protocol.name] = folder / f"error-{protocol.name}.png"
         save_figure(errors[protocol.name], figure)
     pictures = []

@@ -204,7 +204,7 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
         _expect(bool(whole) and len(arrays["truth"]) > 0, "shown_index")
     elif "law" in scores:
         _expect(len(arrays["frames"]) == arrays["input"].shape[1] + 1 > 1 and arrays["x"].shape[2] % 2 == 0, "frames")
-    elif "names" in arrays:
+    elif arrays:
         _check_sweeps(arrays)
 
 

@@ -37,7 +37,7 @@ def error_figure(result: Evaluation) -> Figure:
     limit = Limit(result.scores["threshold"], threshold_text(metric, next(iter(result.scores["vpt"]))))
     figure = curves_figure(curves, "frame", METRICS[metric], limits=[limit], logarithmic=True)
     # Given frames of a baseline may be exact; a logarithmic axis should not extend to them.
-    floor = 0.3 * min(float(mean[mean > 0].min()), limit.value)
+    floor = 0.3 * float(np.min(mean[mean > 0], initial=limit.value))
     figure.axes[0].set_ylim(bottom=floor)
     return figure
 

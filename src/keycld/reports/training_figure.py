@@ -9,6 +9,8 @@ from matplotlib.figure import Figure
 from keycld.drawing import Curve, panels_figure
 
 _NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
+# Beyond this an axis overflows; a term that broke is not plotted either.
+_LARGEST = 1e30
 
 
 def terms(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, Any]]]:
@@ -16,7 +18,7 @@ def terms(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, A
     found: dict[str, list[Mapping[str, Any]]] = {}
     for line in metrics:
         for name, value in line.items():
-            if name not in _NOT_TERMS and isinstance(value, int | float) and np.isfinite(value):
+            if name not in _NOT_TERMS and isinstance(value, int | float) and abs(value) < _LARGEST:
                 found.setdefault(name, []).append(line)
     return {name: found[name] for name in sorted(found, key=lambda name: (name != "loss", "vpt" in name))}
 

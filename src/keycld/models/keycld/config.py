@@ -44,10 +44,12 @@ class KeyCLDConfig(ModelConfig):
                 "KeyCLD needs keypoints and constraints: put a constraints.toml next to the data, or give one with "
                 "--constraints FILE.toml (docs/constraints.md shows one)."
             )
-        if isinstance(self.constraints, str):
-            from keycld.mechanics import parse_constraints
+        from keycld.mechanics import Constraints, parse_constraints
 
+        if isinstance(self.constraints, str):
             return parse_constraints(self.constraints, "the constraints")
+        if not isinstance(self.constraints, Constraints):
+            raise KeycldError(f"setting constraints is TOML text or a Constraints, not {self.constraints!r}.")
         return self.constraints
 
     @property

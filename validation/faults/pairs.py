@@ -1,0 +1,60 @@
+"""Two processes of every pair of verbs on one folder at the same time.
+
+`python -m validation.faults.pairs --work FOLDER` after `fuzz`, which makes the whole files in FOLDER. Each of the two
+must do its work, or refuse it in one sentence; afterwards no file is half, and both verbs work one after the other.
+"""
+
+import argparse
+import itertools
+import json
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+from validation.faults.fuzz import Worker, prepare
+from validation.faults.kill import VERBS, fresh
+
+
+def together(base: Path, workers: list[Worker], names: tuple[str, str], limit: float) -> dict[str, Any]:
+    """Run two verbs at once and then one after the other, and return what happened."""
+    outer = fresh(base)
+    words = [[word.replace("{work}", str(outer / "work")) for word in VERBS[name]] for name in names]
+    for k in range(2):
+        workers[k] = workers[k] if workers[k].alive else Worker(base)
+    with ThreadPoolExecutor(2) as threads:
+        ends = list(threads.map(lambda worker, each: worker.run(each, outer, limit), workers, words))
+    left = [str(path) for path in outer.rglob(".*partial")]
+    again = []
+    for each in words:
+        workers[0] = workers[0] if workers[0].alive else Worker(base)
+        again.append(workers[0].run(each, outer, limit))
+    wrong = [end for end in ends + again if end["faults"] or end["unforeseen"]]
+    said = [end["said"][-200:] for end in ends + again if end["exit"]]
+    return {"pair": names, "exit": [end["exit"] for end in ends], "after": [end["exit"] for end in again], "said": said,
+            "left": left, "wrong": wrong}  # fmt: skip
+
+
+def main() -> None:
+    """Print each pair, and how many ended in which way."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--work", type=Path, required=True)
+    parser.add_argument("--verbs", nargs="*", default=list(VERBS))
+    options = parser.parse_args()
+    base = options.work.resolve()
+    prepare(base)
+    workers = [Worker(base), Worker(base)]
+    done = []
+    for names in itertools.combinations_with_replacement(options.verbs, 2):
+        done.append(together(base, workers, names, 120.0))
+        print(json.dumps(done[-1]), flush=True)
+    for worker in workers:
+        if worker.alive:
+            worker.end()
+    refused = sum(2 in each["exit"] for each in done)
+    faults = sum(bool(each["wrong"] or each["left"]) for each in done)
+    print(json.dumps({"pairs": len(done), "refused": refused, "faults": faults}), file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()
