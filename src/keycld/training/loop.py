@@ -24,6 +24,8 @@ from keycld.training.run_folder import Metrics, write_verdict
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
 
+# As many as between two lines of the log. With one program for a dispatch, its arguments and results pass once.
+STEPS_PER_DISPATCH = 25
 _NOTHING = contextlib.nullcontext()
 # More than any stage tries: each attempt has random weights and steps of its own.
 _MOST_CANDIDATES = 1000
@@ -49,6 +51,18 @@ class _Clock:
         self.seconds += wall - self._wall
         self.cpu_seconds += cpu - self._cpu
         self._wall, self._cpu = wall, cpu
+
+
+class _Placed:
+    """What a stage does not train, and the data, on all devices: copied there again only when they are others."""
+
+    def __init__(self, devices: Devices):
+        self._devices, self._of, self._copies = devices, (None, None), (None, None)
+
+    def of(self, rest: Any, data: Resident) -> Any:
+        if rest is not self._of[0] or data is not self._of[1]:
+            self._of, self._copies = (rest, data), self._devices.everywhere((rest, data))
+        return self._copies
 
 
 def train_stages(
@@ -101,7 +115,9 @@ def train_stages(
     first, step, clock = 0, 0, _Clock()
     checkpoint = latest_checkpoint(folder)
     progress: Progress | None = None
-    data = source.at(0)
+    current: Progress
+    rest: Any
+    data: Resident = source.at(0)
     if checkpoint is not None:
         position = read_position(checkpoint)
         first, step = position["stage"], position["step"]
@@ -119,6 +135,10 @@ def train_stages(
         else:
             progress = started._replace(optimiser=state["optimiser"], memory=state["memory"], step=started.step + step)
     metrics = Metrics(folder, before[first] + step)
+
+    def whole(progress: Progress, rest: Any) -> Any:
+        """Return the model with the trained parameters of the first device."""
+        return eqx.combine(devices.here(progress.parameters), rest)
 
     def save(number: int, progress: Progress | None, model: AbstractModel, step: int) -> None:
         clock.tick()
@@ -148,46 +168,46 @@ def train_stages(
     number = first
     while number < len(stages):
         stage, again = stages[number], _MOST_CANDIDATES * len(failures)
-        compiled = functools.cache(functools.partial(make_step, stage, number + again, seed, devices=devices))
-        models = []
+        compiled: Callable[[int], Run] = functools.cache(
+            functools.partial(make_step, stage, number + again, seed, devices=devices)
+        )
+        models: list[AbstractModel] = []
         pinned, per_step = _clips(stage, data)
         if progress is not None:
-            current, (_, rest) = progress, initial_progress(stage, model)
+            current, rest = progress, initial_progress(stage, model)[1]
         else:
             data = _moved(data, source.at(before[number]))
             models = [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
-            other = compiled
+            other: Callable[[int], Run] = compiled
             if stage.alternative is not None:
                 differing = dataclasses.replace(stage, loss=stage.alternative)
                 other = functools.cache(functools.partial(make_step, differing, number + again, seed, devices=devices))
             current, rest, data = _best(stage, models, data, (compiled, other), steps_per_dispatch, devices)
-        current, fixed = devices.everywhere(current), devices.everywhere((rest, data))
+        placed = _Placed(devices)
         done = int(current.step)
         clock.frames += per_step * done * len(models)
         bar = Bar(stage.name, stage.steps)
-        saved, pending, dispatches = time.monotonic(), [], 0
+        saved, dispatches = time.monotonic(), 0
+        pending: list[dict[str, Any]] = []
         logged_at, logged_frames = time.monotonic(), clock.frames
         values: dict[str, float] = {}
         while done < stage.steps:
             chunk = min(steps_per_dispatch, stage.steps - done, log_every - done % log_every)
             if not pinned:
                 here = before[number] + done
-                moved, end = _moved(data, source.at(here)), source.until(here)
+                data, end = _moved(data, source.at(here)), source.until(here)
                 chunk = chunk if end is None else min(chunk, end - here)
-                if moved is not data:
-                    data, fixed = moved, devices.everywhere((rest, moved))
             if stage.refresh is not None:
                 chunk = min(chunk, stage.every - done % stage.every)
                 # Before the step and not after the last one, so that a run which resumes here repeats it.
                 if done and done % stage.every == 0:
-                    model, data = stage.refresh(eqx.combine(devices.here(current.parameters), rest), data)
+                    model, data = stage.refresh(whole(current, rest), data)
                     current, rest = refreshed(stage, model, current)
-                    current, fixed = devices.everywhere(current), devices.everywhere((rest, data))
             traced = profile and dispatches == 1
             with (
                 jax.profiler.trace(folder / "profile" / stage.name, create_perfetto_trace=True) if traced else _NOTHING
             ):
-                current, terms = compiled(chunk)(fixed, current)
+                current, terms = compiled(chunk)(placed.of(rest, data), devices.everywhere(current))
                 if traced:
                     jax.block_until_ready(current)
             dispatches += 1
@@ -206,10 +226,9 @@ def train_stages(
                 record(number, done, values)
                 bar.show(done, rate, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
                 if now - saved > checkpoint_seconds and done < stage.steps:
-                    now_here = devices.here(current)
-                    save(number, now_here, eqx.combine(now_here.parameters, rest), done)
+                    save(number, devices.here(current), whole(current, rest), done)
                     saved = time.monotonic()
-        model = eqx.combine(devices.here(current.parameters), rest)
+        model = whole(current, rest)
         progress = None
         if stage.judge is not None and (failure := stage.judge(model, data, values)):
             # Not saved: a run that resumes here fails in the same way.

@@ -21,7 +21,7 @@ from keycld.models import ModelConfig, Scene, config_for
 from keycld.models.base import AbstractModel
 from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays, read_position
 from keycld.training.devices import use_devices
-from keycld.training.loop import train_stages
+from keycld.training.loop import STEPS_PER_DISPATCH, train_stages
 from keycld.training.memory import keep_freed_memory
 from keycld.training.run_folder import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.trackers import make_tracker
@@ -29,8 +29,6 @@ from keycld.training.trackers import make_tracker
 # Largest number of trajectories in the validation score.
 _VALIDATED = 100
 _MOST_WEIGHTS = 10**9
-# As many as between two lines of the log. With one program for a dispatch, its arguments and results pass once.
-_STEPS_PER_DISPATCH = 25
 
 
 def train(
@@ -96,7 +94,7 @@ def train(
         scene=dataclasses.asdict(scene),
         input_names=dataset.input_names,
         epsilon=threshold,
-        steps_per_dispatch=_STEPS_PER_DISPATCH,
+        steps_per_dispatch=STEPS_PER_DISPATCH,
         checkpoint_seconds=checkpoint_seconds,
         devices=devices,
         command=shlex.join(sys.argv),
@@ -114,7 +112,7 @@ def train(
                 folder,
                 devices=shared,
                 seed=seed,
-                steps_per_dispatch=_STEPS_PER_DISPATCH,
+                steps_per_dispatch=STEPS_PER_DISPATCH,
                 checkpoint_seconds=checkpoint_seconds,
                 log_every=log_every,
                 keep=keep,
