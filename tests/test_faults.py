@@ -156,6 +156,27 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
         read_arrays(tmp_path / "a.npz", {}, "make it again")
 
 
+def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path):
+    """Each ended in an error that nothing foresaw."""
+    from keycld.benchmarks.results import Result
+    from keycld.evaluation.stored import check_arrays
+    from keycld.models import config_for
+    from keycld.reports.training_figure import terms
+
+    for settings in ({"terms": 30}, {"terms": [1]}):
+        with pytest.raises(KeycldError, match="terms of preset 'fast' does not take"):
+            config_for("keycld", "fast", **settings)
+    with pytest.raises(KeycldError, match="TOML text"):
+        config_for("keycld", "fast", constraints=[]).completed()
+    assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
+    with pytest.raises((Unexpected, KeyError)):
+        check_arrays({}, {"turn/values": np.zeros(1)})
+    stored = json.loads((REPOSITORY / "results/keycld/fast/pendulum-keycld-0.json").read_text())
+    next(iter(stored["curves"].values()))["low"].pop()
+    with pytest.raises(Unexpected, match="same length"):
+        checked(stored, Result)
+
+
 def test_a_picture_that_claims_too_many_pixels_is_refused(tmp_path):
     from PIL import Image
 

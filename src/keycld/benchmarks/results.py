@@ -4,14 +4,14 @@ import json
 import re
 import time
 from pathlib import Path
-from typing import Any, NotRequired, TypedDict
+from typing import Annotated, Any, NotRequired, TypedDict
 
 import numpy as np
 
 from keycld import _records
 from keycld._errors import KeycldError
 from keycld._files import write_text
-from keycld._records import read_lines
+from keycld._records import Unexpected, read_lines
 from keycld.benchmarks.experiment import Experiment, Place, digest
 from keycld.data import read_statistics
 from keycld.evaluation import Evaluation, load_evaluation
@@ -47,6 +47,13 @@ class _Curve(TypedDict):
     high: list[float]
 
 
+def _even(curve: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return a curve, if its lists have the same length."""
+    if len({len(curve[name]) for name in _Curve.__required_keys__}) > 1 or not curve["frame"]:
+        raise Unexpected(f"the lists of '{where}' do not have the same length")
+    return curve
+
+
 class _Cost(TypedDict):
     seconds: float
     cpu_seconds: float
@@ -80,7 +87,7 @@ class Result(TypedDict):
     training: _Cost
     seconds: dict[str, float]
     scores: dict[str, _Scores]
-    curves: dict[str, _Curve]
+    curves: dict[str, Annotated[_Curve, _even]]
 
 
 def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) -> dict[str, Any]:

@@ -6,11 +6,12 @@ import difflib
 import json
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
 
 import tyro
 
 from keycld._errors import KeycldError, unknown
+from keycld._records import Unexpected, checked
 from keycld.models.scene import Scene
 
 if TYPE_CHECKING:
@@ -116,6 +117,7 @@ def _nested(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _changed(config: Any, settings: Mapping[str, Any], what: str, prefix: str) -> Any:
     fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    kinds = get_type_hints(type(config))
     values = {}
     for name, value in settings.items():
         if name not in fields:
@@ -126,7 +128,7 @@ def _changed(config: Any, settings: Mapping[str, Any], what: str, prefix: str) -
                 raise KeycldError(f"setting {prefix}{name} of {what} is a group: set {prefix}{name}.NAME.")
             values[name] = _changed(old, value, what, f"{prefix}{name}.")
         else:
-            values[name] = _checked(value, old, f"setting {prefix}{name} of {what}")
+            values[name] = _checked(value, old, kinds[name], f"setting {prefix}{name} of {what}")
     return dataclasses.replace(config, **values)
 
 
@@ -152,10 +154,13 @@ def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
     return unknown(kind, name, choices)
 
 
-def _checked(value: Any, old: Any, what: str) -> Any:
-    """Return the value, converted to the type of the setting that it replaces."""
+def _checked(value: Any, old: Any, kind: Any, what: str) -> Any:
+    """Return the value, converted to the type of the setting that it replaces; that of the field, if this is None."""
     if old in (None, ()):
-        return tuple(value) if isinstance(value, list) else value
+        try:
+            return checked(tuple(value) if isinstance(value, list) else value, kind)
+        except Unexpected:
+            raise KeycldError(f"{what} does not take {value!r}.") from None
     if isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
         return value
     if isinstance(old, tuple):
