@@ -39,6 +39,27 @@ _fit = eqx.filter_jit(fit_motions)
 
 
 @dataclasses.dataclass(frozen=True)
+class Tracks:
+    """Keypoints observed in recordings, and what a fit to them needs.
+
+    Attributes:
+        x: observed keypoints `[N, T, 2K]`.
+        u: inputs `[N, l]` or `[N, T, l]`.
+        dt: seconds between frames.
+        constants: values of Φ that all recordings share; None: each recording has its own.
+    """
+
+    x: jax.Array
+    u: jax.Array
+    dt: jax.Array
+    constants: jax.Array | None
+
+    def __getitem__(self, recordings: slice) -> "Tracks":
+        """Return some of the recordings."""
+        return dataclasses.replace(self, x=self.x[recordings], u=self.u[recordings])
+
+
+@dataclasses.dataclass(frozen=True)
 class Identified:
     """The result of `identify`.
 
@@ -54,14 +75,7 @@ class Identified:
 
 
 def identify(
-    dynamics: MechanicalDynamics,
-    x: jax.Array,
-    u: jax.Array,
-    dt: jax.Array,
-    constants: jax.Array | None,
-    *,
-    pixel: float,
-    terms: tuple[str, ...] | None = None,
+    dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, terms: tuple[str, ...] | None = None
 ) -> Identified:
     """Find the terms of V and R that act, their parameters, masses and input matrix, from observed keypoints.
 
@@ -75,119 +89,84 @@ def identify(
 
     Args:
         dynamics: V affine; its parameters do not matter.
-        x: observed keypoints `[N, T, 2K]`.
-        u: inputs.
-        dt: seconds between frames.
-        constants: values of Φ that all recordings share.
+        tracks: of all recordings.
         pixel: size of a pixel, image-plane units.
         terms: kinds of the terms; None: those that the motion asks for.
     """
     if terms is not None:
-        fitted = _identified(dynamics, terms, x, u, dt, constants)
+        fitted = _identified(dynamics, terms, tracks)
         return Identified(fitted.dynamics, float(fitted.rms), {})
-    best = _identified(dynamics, (), x, u, dt, constants)
-    some = slice(None, None, max(1, len(x) // _FEW))
-    everything = _with_everything(best, x[some], u[some], dt, constants, some, good=_GOOD * pixel)
-    left, worth = _selected(everything, dt)
+    best = _identified(dynamics, (), tracks)
+    some = slice(None, None, max(1, len(tracks.x) // _FEW))
+    everything = _with_everything(best, tracks, some, good=_GOOD * pixel)
+    left, worth = _selected(everything, tracks.dt)
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
-        near = _fitted(left, x[some], u[some], dt, constants, everything.initial)
-        selected = _climb(near.dynamics, x, u, dt, constants)
+        near = _fitted(left, tracks[some], everything.initial)
+        selected = _climb(near.dynamics, tracks)
         if selected.rms > (1 + _WORTH) * everything.rms:
-            again = _identified(dynamics, kept, x, u, dt, constants)
+            again = _identified(dynamics, kept, tracks)
             selected = min(selected, again, key=lambda fitted: float(fitted.cost))
         if selected.cost < best.cost / (1 + _WORTH):
             best = selected
     if best.rms > _GOOD * pixel:
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
-        more = _fitted(_with_law(best.dynamics, grown), x, u, dt, constants, best.initial)
+        more = _fitted(_with_law(best.dynamics, grown), tracks, best.initial)
         worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
         if more.rms < 0.75 * best.rms:
             best = more
     return Identified(best.dynamics, float(best.rms), worth)
 
 
-def _identified(
-    dynamics: MechanicalDynamics,
-    kinds: tuple[str, ...],
-    x: jax.Array,
-    u: jax.Array,
-    dt: jax.Array,
-    constants: jax.Array | None,
-) -> Fitted:
+def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
     """Fit an affine V with terms of these kinds, from nothing."""
     law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
-    return _climb(_with_law(dynamics, regress_forces(law, _free(law), x, u, dt)), x, u, dt, constants)
+    return _climb(_with_law(dynamics, regress_forces(law, _free(law), tracks.x, tracks.u, tracks.dt)), tracks)
 
 
-def _with_everything(
-    affine: Fitted, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None, some: slice, *, good: float
-) -> Fitted:
+def _with_everything(affine: Fitted, tracks: Tracks, some: slice, *, good: float) -> Fitted:
     """Fit all terms that are tried to some of the recordings: from the affine fit of all if its error is small."""
     kinds = [kind for kind, term in term_kinds().items() if term.tried]
     if affine.rms > good:
-        return _identified(affine.dynamics, tuple(kinds), x, u, dt, constants)
+        return _identified(affine.dynamics, tuple(kinds), tracks[some])
     law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
     initial = Motion(*(part[some] for part in affine.initial))
-    return _fitted(_with_law(affine.dynamics, law), x, u, dt, constants, initial)
+    return _fitted(_with_law(affine.dynamics, law), tracks[some], initial)
 
 
-def _climb(
-    dynamics: MechanicalDynamics,
-    x: jax.Array,
-    u: jax.Array,
-    dt: jax.Array,
-    constants: jax.Array | None,
-    active: Any = None,
-) -> Fitted:
+def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> Fitted:
     """Fit a quarter, half and the whole of the recordings, each from the result of the last."""
-    length, initial = x.shape[1], rough_states(x, dt)
+    length, initial = tracks.x.shape[1], rough_states(tracks.x, tracks.dt)
     for frames, iterations in ((length // 4, 8), (length // 2, 8)):
-        fitted = _fitted(dynamics, x, u, dt, constants, initial, frames, iterations, active)
+        fitted = _fitted(dynamics, tracks, initial, frames, iterations, active)
         dynamics, initial = fitted.dynamics, fitted.initial
-    return _fitted(dynamics, x, u, dt, constants, initial, active=active)
+    return _fitted(dynamics, tracks, initial, active=active)
 
 
-def refit(
-    dynamics: MechanicalDynamics,
-    x: jax.Array,
-    u: jax.Array,
-    dt: jax.Array,
-    constants: jax.Array | None,
-    *,
-    prune: bool = False,
-) -> Fitted:
+def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, prune: bool = False) -> Fitted:
     """Fit the parameters of given dynamics to keypoints.
 
     Args:
         dynamics: near the solution.
-        x: observed keypoints `[N, T, 2K]`.
-        u: inputs.
-        dt: seconds between frames.
-        constants: values of Φ that all recordings share.
+        tracks: of all recordings.
         prune: drop the terms of V and R without which the cost would hardly rise, as in `identify`.
     """
-    fitted = _fitted(dynamics, x, u, dt, constants)
-    left = _selected(fitted, dt)[0] if prune else fitted.dynamics
+    fitted = _fitted(dynamics, tracks)
+    left = _selected(fitted, tracks.dt)[0] if prune else fitted.dynamics
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
-    return _fitted(left, x, u, dt, constants, fitted.initial)
+    return _fitted(left, tracks, fitted.initial)
 
 
-def explain(
-    dynamics: MechanicalDynamics, x: jax.Array, u: jax.Array, dt: jax.Array, constants: jax.Array | None
-) -> Fitted:
+def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
     """Fit the motions of given dynamics to keypoints; nothing but their initial states is free."""
     still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
-    return _climb(dynamics, x, u, dt, constants, still)
+    return _climb(dynamics, tracks, still)
 
 
 def _fitted(
     dynamics: MechanicalDynamics,
-    x: jax.Array,
-    u: jax.Array,
-    dt: jax.Array,
-    constants: jax.Array | None,
+    tracks: Tracks,
     initial: Motion | None = None,
     frames: int | None = None,
     iterations: int = 30,
@@ -198,13 +177,13 @@ def _fitted(
     return _fit(
         dynamics,
         _free(dynamics),
-        x,
-        u,
-        dt,
+        tracks.x,
+        tracks.u,
+        tracks.dt,
         active=active,
-        constants=constants,
-        initial=rough_states(x, dt) if initial is None else initial,
-        frames=jnp.array(x.shape[1] if frames is None else frames),
+        constants=tracks.constants,
+        initial=rough_states(tracks.x, tracks.dt) if initial is None else initial,
+        frames=jnp.array(tracks.x.shape[1] if frames is None else frames),
         iterations=jnp.array(iterations),
     )
 

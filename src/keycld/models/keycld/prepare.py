@@ -15,7 +15,7 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
-from keycld.models.keycld.identify import explain, identify, refit
+from keycld.models.keycld.identify import Tracks, explain, identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
@@ -115,7 +115,7 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
     def errors(paths: np.ndarray) -> np.ndarray:
         return np.sqrt(np.mean((paths.reshape(seen.shape) - seen) ** 2, axis=(0, 1, 3))) / pixel
 
-    law = errors(np.asarray(explain(model.dynamics, x, u, data.dt, model.constants).paths))
+    law = errors(np.asarray(explain(model.dynamics, Tracks(x, u, data.dt, model.constants)).paths))
     straight, curved = (errors(_polynomials(seen, degree)) for degree in (1, 2))
     k = int(np.argmax(law / np.maximum(curved, _CLOSE / worst)))
     if law[k] < max(worst * curved[k], _CLOSE):
@@ -155,7 +155,7 @@ def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | No
     x, u = _observed(model, data, _FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
-    found = identify(model.dynamics, x, u, data.dt, model.constants, pixel=pixel, terms=terms)
+    found = identify(model.dynamics, Tracks(x, u, data.dt, model.constants), pixel=pixel, terms=terms)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, found.dynamics), x)
     _report(model, found.rms / pixel)
     return model, data
@@ -181,7 +181,7 @@ def fit_dynamics(
     x, u = _observed(model, data, trajectories)
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
-    fitted = refit(model.dynamics, x, u, data.dt, model.constants, prune=prune)
+    fitted = refit(model.dynamics, Tracks(x, u, data.dt, model.constants), prune=prune)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
     if prune:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
