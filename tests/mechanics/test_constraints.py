@@ -16,6 +16,7 @@ from keycld.mechanics import (
     OnLine,
     dump_constraints,
     load_constraints,
+    mechanisms,
 )
 from keycld.mechanics.relation import relation_kinds
 
@@ -273,3 +274,18 @@ def test_toml_files_that_cannot_be_read(tmp_path):
         load_constraints(tmp_path / "binary.toml")
     with pytest.raises(KeycldError, match="cannot read"):
         load_constraints(tmp_path)
+
+
+def test_mechanisms_have_names():
+    assert {"pendulum", "double-pendulum", "cart-pole", "spring"} <= set(mechanisms())
+    for name in mechanisms():
+        constraints = load_constraints(name)
+        assert constraints.unknowns and 2 * len(constraints.keypoints) > constraints.count
+    with pytest.raises(KeycldError, match="unknown mechanism or constraints file 'pendulun': did you mean 'pendulum'"):
+        load_constraints("pendulun")
+
+
+def test_a_file_comes_before_a_mechanism_of_the_same_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "spring").write_text('keypoints = ["mine"]')
+    assert load_constraints("spring").keypoints == ("mine",)

@@ -131,7 +131,7 @@ def import_(
     /,
     *,
     out: Path,
-    constraints: Path | None = None,
+    constraints: Annotated[str | None, tyro.conf.arg(aliases=["--mechanism"])] = None,
     size: int = 64,
     fps: float | None = None,
     crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
@@ -145,7 +145,8 @@ def import_(
         videos: One or more video files; or one folder of the original suite, with features.txt and train.tfrecord,
             which uses --out only.
         out: Folder of the data set.
-        constraints: TOML file with keypoint names and constraints, copied into the folder.
+        constraints: TOML file with keypoint names and constraints, or the name of a mechanism: pendulum,
+            double-pendulum, cart-pole, spring; written into the folder.
         size: Height and width of the pictures, a multiple of 8.
         fps: Frames a second to keep; by default those of the video.
         crop: Part of the picture to keep, in pixels of the video; by default the largest central square.

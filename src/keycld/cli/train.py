@@ -21,7 +21,7 @@ def train(
     seed: int | None = None,
     devices: int | None = None,
     out: Path | None = None,
-    constraints: Path | None = None,
+    constraints: Annotated[str | None, tyro.conf.arg(aliases=["--mechanism"])] = None,
     config: Path | None = None,
     track: str = "none",
     log_every: int = 25,
@@ -42,7 +42,8 @@ def train(
         seed: Seed of weights and data order; by default 0. Same seed, machine and settings: same bits.
         devices: Devices that share the clips of each step; by default 1.
         out: Run folder; by default runs/DATA-MODEL-PRESET-SEED.
-        constraints: TOML file with keypoints and constraints, instead of those of the data; for models that have some.
+        constraints: TOML file with keypoints and constraints, or the name of a mechanism (pendulum, double-pendulum,
+            cart-pole, spring), instead of those of the data; for models that have some.
         config: The config.json of a run, to train the same again. Other options change their part of it.
         track: Where metrics go in addition to metrics.jsonl: none, wandb, trackio or tensorboard.
         log_every: Steps between lines of metrics.jsonl; checkpoints are written at such steps too.
@@ -125,7 +126,7 @@ def _value(words: Sequence[str], flag: str) -> str | None:
     return None
 
 
-def _text(path: Path) -> str:
+def _text(path: str) -> str:
     from keycld.mechanics import dump_constraints, load_constraints
 
     return dump_constraints(load_constraints(path))

@@ -21,6 +21,7 @@ from keycld.data.generate.make import ProgressBar as ProgressBar
 from keycld.data.generate.make import make_data as make_data
 from keycld.data.generate.protocols import PROTOCOLS as PROTOCOLS
 from keycld.data.generate.sweeps import Sweep as Sweep
+from keycld.data.imports.clip import import_clip as import_clip
 from keycld.data.imports.suite import import_suite as import_suite
 from keycld.data.imports.video import import_video as import_video
 from keycld.data.sample.clips import Clip as Clip
@@ -53,6 +54,7 @@ __all__ = [
     "Windows",
     "check",
     "image_statistics",
+    "import_clip",
     "import_suite",
     "import_video",
     "make_data",

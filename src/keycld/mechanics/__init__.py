@@ -10,6 +10,7 @@ from keycld.mechanics.constraints import FunctionConstraint as FunctionConstrain
 from keycld.mechanics.constraints import as_constraint as as_constraint
 from keycld.mechanics.constraints_toml import dump_constraints as dump_constraints
 from keycld.mechanics.constraints_toml import load_constraints as load_constraints
+from keycld.mechanics.constraints_toml import mechanisms as mechanisms
 from keycld.mechanics.constraints_toml import parse_constraints as parse_constraints
 from keycld.mechanics.dense import Linear as Linear
 from keycld.mechanics.dense import SwishEnergy as SwishEnergy
@@ -154,6 +155,7 @@ __all__ = [
     "integrator_named",
     "joining_velocity",
     "load_constraints",
+    "mechanisms",
     "momentum",
     "nearest_circle",
     "parse_constraints",

@@ -20,6 +20,7 @@ point = [0.0, 0.0]        # or "unknown", or the name of an entry of the state's
 import json
 import tomllib
 from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -28,19 +29,34 @@ from keycld._files import read_text
 from keycld.mechanics.constraints import Constraints
 from keycld.mechanics.relation import AbstractRelation, relation_kinds, relation_of_kind
 
+_MECHANISMS = "keycld.mechanics.mechanisms"
+
 
 def load_constraints(path: str | Path) -> Constraints:
     """Read constraints from a TOML file laid out as at the top of this module; a file without any is fine.
 
+    Args:
+        path: the file, or the name of a mechanism such as "pendulum" (`mechanisms`).
+
     Raises:
-        KeycldError: if the file cannot be read or says something else; it names the file, the entry and the fix.
+        KeycldError: if the file cannot be read or says something else; it names the file, the entry and the fix. If
+            there is neither such a file nor such a mechanism; it names the nearest mechanism.
     """
-    path = Path(path)
+    if (name := str(path)) in mechanisms() and not Path(path).exists():
+        text = resources.files(_MECHANISMS).joinpath(f"{name}.toml").read_text(encoding="utf-8")
+        return parse_constraints(text, f"the mechanism {name}")
     try:
-        text = read_text(path)
+        return parse_constraints(read_text(Path(path)), f"the constraints file {path}")
     except FileNotFoundError:
-        raise KeycldError(f"there is no constraints file {path}: check the path.") from None
-    return parse_constraints(text, f"the constraints file {path}")
+        if Path(path).suffix or len(Path(path).parts) > 1:
+            raise KeycldError(f"there is no constraints file {path}: check the path.") from None
+        raise unknown("mechanism or constraints file", name, mechanisms()) from None
+
+
+def mechanisms() -> tuple[str, ...]:
+    """Return the names of the mechanisms that are known by name: the TOML files of `keycld/mechanics/mechanisms/`."""
+    files = (Path(file.name) for file in resources.files(_MECHANISMS).iterdir())
+    return tuple(sorted(file.stem for file in files if file.suffix == ".toml"))
 
 
 def parse_constraints(text: str, source: str) -> Constraints:

@@ -14,7 +14,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, described, ffmpeg, input_options
-from keycld._files import copy_file, make_folder, writing_error
+from keycld._files import make_folder, write_text, writing_error
 from keycld._lock import alone
 from keycld._progress import Counted
 from keycld._version import __version__
@@ -26,7 +26,7 @@ from keycld.data.format.writing import write
 from keycld.data.imports.claim import claim
 from keycld.systems import names
 
-_SPLITS = ("train", "validation", "test")
+SPLITS: tuple[str, ...] = ("train", "validation", "test")
 
 
 def import_video(
@@ -59,7 +59,7 @@ def import_video(
         frames: frames of a recording.
         validation: part of the recordings for choices; at least one recording.
         test: part of the recordings for the test; at least one recording.
-        constraints: a TOML file of keypoints and constraints, copied into the folder.
+        constraints: a TOML file of keypoints and constraints, or the name of a mechanism; written into the folder.
 
     Returns:
         The folder.
@@ -77,39 +77,71 @@ def import_video(
         raise KeycldError(
             f"the folder name '{out.resolve().name}' is the name of a system of keycld: choose another name for {out}."
         )
-    if constraints is not None:
-        from keycld.mechanics import load_constraints
-
-        load_constraints(constraints)
+    text = None if constraints is None else constraints_text(constraints)
     make_folder(out.parent)
     # The pictures wait on the disk without a name, so that a video may be larger than memory and a kill leaves nothing.
-    with _spool_in(out.parent) as spool:
-        spans = [_decode(source, spool, size, fps, crop, skip, frames) for source in sources]
+    with spool_in(out.parent) as spool:
+        spans = [decode(source, spool, size, fps, crop, skip, frames) for source in sources]
         rates = {round(rate, 3) for _, rate in spans}
         if len(rates) > 1:
             raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with fps.")
         total = sum(count for count, _ in spans)
         counts = _counts(total, validation, test, frames)
         recordings = np.memmap(spool, np.uint8, "r", shape=(total, frames, size, size, 3))
-        attributes = {
-            "system": out.resolve().name,
-            "dt": 1.0 / spans[0][1],
-            "seed": 0,
-            "input_names": (),
-            "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
-            "protocol": "import",
-        }
-        with alone(out):
-            partial = claim(out)
-            first = 0
-            for name, count in zip(_SPLITS, counts, strict=True):
-                chosen = recordings[first : first + count]
-                write(out / f"{name}.h5", _trajectories(chosen, spans[0][1], attributes))
-                first += count
-            if constraints is not None:
-                copy_file(Path(constraints), out / CONSTRAINTS)
-            finish(out, {"seconds": round(time.monotonic() - began, 1)})
-            shutil.rmtree(partial)
+        ends = np.cumsum(counts)[:-1]
+        parts: dict[str, np.ndarray] = dict(zip(SPLITS, np.split(recordings, ends), strict=True))
+        return store(out, parts, origin(sources, spans[0][1]), text, began)
+
+
+def constraints_text(constraints: str | Path) -> str:
+    """Return the TOML text of a file of constraints or of a mechanism, checked.
+
+    Raises:
+        KeycldError: as `load_constraints`.
+    """
+    from keycld.mechanics import dump_constraints, load_constraints
+
+    return dump_constraints(load_constraints(constraints))
+
+
+def origin(sources: Sequence[Path], rate: float) -> dict[str, Any]:
+    """Return the attributes of imported recordings with so many frames a second."""
+    return {
+        "dt": 1.0 / rate,
+        "seed": 0,
+        "input_names": (),
+        "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
+        "protocol": "import",
+    }
+
+
+def store(
+    out: Path, parts: dict[str, np.ndarray], attributes: dict[str, Any], constraints: str | None, began: float
+) -> Path:
+    """Write recordings without inputs as a data set.
+
+    Args:
+        out: the folder; its name becomes that of the system.
+        parts: pictures uint8 `[N, T, H, W, 3]` of each split.
+        attributes: of all files.
+        constraints: TOML text, or None.
+        began: when the work began, by `time.monotonic`.
+
+    Returns:
+        The folder.
+
+    Raises:
+        KeycldError: it holds other data, or cannot be written.
+    """
+    attributes = {"system": out.resolve().name, **attributes}
+    with alone(out):
+        partial = claim(out)
+        for name, images in parts.items():
+            write(out / f"{name}.h5", as_trajectories(images, attributes))
+        if constraints is not None:
+            write_text(out / CONSTRAINTS, constraints)
+        finish(out, {"seconds": round(time.monotonic() - began, 1)})
+        shutil.rmtree(partial)
     return out
 
 
@@ -132,7 +164,7 @@ def _check_numbers(
         raise KeycldError(f"validation ({validation}) and test ({test}) are parts that leave some for training.")
 
 
-def _probe(path: Path) -> tuple[int, int, Fraction, float]:
+def probe(path: Path) -> tuple[int, int, Fraction, float]:
     """Read width, height, frames a second as ffmpeg decodes the video (turned upright), and the seconds it claims."""
     # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
     options = ["-v", "info", *input_options(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe", "-"]
@@ -142,21 +174,22 @@ def _probe(path: Path) -> tuple[int, int, Fraction, float]:
             while process.read(2**20):
                 pass
     except FfmpegError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     words = {word[:1]: word[1:] for word in head.split(b"\n")[0].decode("ascii", "replace").split()[1:]}
     try:
         rate = Fraction(words["F"].replace(":", "/"))
         return int(words["W"]), int(words["H"]), rate, described(process.said)
     except (KeyError, ValueError, ZeroDivisionError) as error:
-        raise _unreadable(path, "it has no pictures") from error
+        raise unreadable(path, "it has no pictures") from error
 
 
-def _unreadable(path: Path, reason: Exception | str) -> KeycldError:
+def unreadable(path: Path, reason: Exception | str) -> KeycldError:
+    """Return the error for a file that ffmpeg cannot read as a video."""
     return KeycldError(f"{path} cannot be read as a video: convert it to MP4 first (ffmpeg: {reason}).")
 
 
 @contextlib.contextmanager
-def _spool_in(folder: Path) -> Iterator[IO[bytes]]:
+def spool_in(folder: Path) -> Iterator[IO[bytes]]:
     """Yield a temporary file without a name."""
     try:
         with tempfile.TemporaryFile(dir=folder) as spool:
@@ -165,7 +198,7 @@ def _spool_in(folder: Path) -> Iterator[IO[bytes]]:
         raise writing_error(folder, error) from error
 
 
-def _decode(
+def decode(
     path: Path,
     spool: IO[bytes],
     size: int,
@@ -177,7 +210,7 @@ def _decode(
     """Append the recordings uint8 [N, frames, size, size, 3] of a video to a file; return N and frames a second."""
     if not path.is_file():
         raise KeycldError(f"there is no video {path}: check the path.")
-    width, height, own, seconds = _probe(path)
+    width, height, own, seconds = probe(path)
     rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
     if not 0 < rate <= own + Fraction(1, 1000):
         raise KeycldError(f"fps must be above 0 and at most the {float(own):g} of {path}, not {fps}.")
@@ -202,7 +235,7 @@ def _decode(
                 if count < expected:
                     progress(count, expected)
     except FfmpegError as error:
-        raise _unreadable(path, error) from error
+        raise unreadable(path, error) from error
     if not count:
         raise KeycldError(f"{path} holds no frame after {skip:g} s: skip less.")
     progress(count, count)
@@ -234,9 +267,10 @@ def _counts(recordings: int, validation: float, test: float, frames: int) -> tup
     return recordings - sum(held), *held
 
 
-def _trajectories(image: np.ndarray, rate: float, attributes: dict[str, Any]) -> Trajectories:
+def as_trajectories(image: np.ndarray, attributes: dict[str, Any]) -> Trajectories:
+    """Return recordings `[N, T, H, W, 3]` without inputs; `attributes` give dt."""
     return Trajectories(
-        time=np.arange(1, image.shape[1] + 1) / rate,
+        time=np.arange(1, image.shape[1] + 1) * attributes["dt"],
         input=np.zeros((len(image), 0), np.float32),
         image=image,
         attributes=attributes,

@@ -96,7 +96,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         dynamics=dynamics,
         renderer=renderer,
         initial_state=_initial_state(config),
-        velocity_prior=VelocityPrior.unknown(),
+        velocity_prior=VelocityPrior.unknown() if config.velocity_prior else None,
     )
 
 

@@ -138,6 +138,8 @@ class FastConfig(KeyCLDConfig):
     """Width of a perceptron in g. 0: g is affine."""
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
+    velocity_prior: bool = True
+    """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
     groups: int = 4
     """Pairs of consecutive frames in a clip."""
     first_frames: float = 0.5
