@@ -17,7 +17,7 @@ def swing(frames=90, seed=0, *, size=(96, 128), shift=0.0):
         angle = 0.9 * np.cos(2 * np.pi * k / 40)
         x, y = 84 + 30 * np.sin(angle) + shift * k, 20 + 30 * np.cos(angle)
         disc = (column - x) ** 2 + (row - y) ** 2 < 36
-        ground = 60 + 40 * np.sin((column + shift * k) / 5.0) * np.cos(row / 7.0)
+        ground = 60 + (100 if shift else 40) * np.sin((column + shift * k) / 5.0) * np.cos(row / 7.0)
         grey = np.where(disc, 220.0, ground) + random.normal(size=size)
         found.append(np.repeat(np.clip(grey, 0, 255)[..., None], 3, axis=2).astype(np.uint8))
     return np.stack(found)
