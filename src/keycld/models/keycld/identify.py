@@ -99,7 +99,9 @@ def identify(
     best = _identified(dynamics, (), tracks)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     everything = _with_everything(best, tracks, some, good=_GOOD * pixel)
-    left, worth = _selected(everything, tracks.dt)
+    # A fit of all terms that diverged says nothing about them.
+    sound = bool(np.all(np.isfinite(everything.curvature)))
+    left, worth = _selected(everything, tracks.dt) if sound else (best.dynamics, {})
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
         near = _fitted(left, tracks[some], everything.initial)
