@@ -26,7 +26,7 @@ from keycld.mechanics import (
 )
 
 # A term stays if without it the cost of the fit would rise by this share.
-_WORTH = 0.2
+WORTH = 0.2
 # Share by which masses may follow when a term is dropped, for that same cost.
 _FOLLOW = 0.2
 _LAST_RESORT = "perceptron"
@@ -60,6 +60,19 @@ class Tracks:
 
 
 @dataclasses.dataclass(frozen=True)
+class Tried:
+    """Which forces `identify` tries.
+
+    Attributes:
+        kinds: of the terms; None: all but the last resort.
+        worth: a term stays if without it the cost of the fit would rise by this share.
+    """
+
+    kinds: tuple[str, ...] | None = None
+    worth: float = WORTH
+
+
+@dataclasses.dataclass(frozen=True)
 class Identified:
     """The result of `identify`.
 
@@ -75,7 +88,12 @@ class Identified:
 
 
 def identify(
-    dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, terms: tuple[str, ...] | None = None
+    dynamics: MechanicalDynamics,
+    tracks: Tracks,
+    *,
+    pixel: float,
+    terms: tuple[str, ...] | None = None,
+    tried: Tried | None = None,
 ) -> Identified:
     """Find the terms of V and R that act, their parameters, masses and input matrix, from observed keypoints.
 
@@ -85,33 +103,35 @@ def identify(
     all others eliminated. Those of the highest rank are judged first, and the others take over what they can. What is
     left is fitted again, from there and, if this explains the recordings less well than all terms did, from nothing. It
     stays if it is worth more than gravity alone. If the result explains the recordings badly, a potential energy of
-    free form is added.
+    free form is added, unless the kinds are limited.
 
     Args:
         dynamics: V affine; its parameters do not matter.
         tracks: of all recordings.
         pixel: size of a pixel, image-plane units.
         terms: kinds of the terms; None: those that the motion asks for.
+        tried: which kinds are tried, and what they must be worth; None: all.
     """
+    tried = tried or Tried()
     if terms is not None:
         fitted = _identified(dynamics, terms, tracks)
         return Identified(fitted.dynamics, float(fitted.rms), {})
     best = _identified(dynamics, (), tracks)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
-    everything = _with_everything(best, tracks, some, good=_GOOD * pixel)
+    everything = _with_everything(best, tracks, some, tried.kinds, good=_GOOD * pixel)
     # A fit of all terms that diverged says nothing about them.
     sound = bool(np.all(np.isfinite(everything.curvature)))
-    left, worth = _selected(everything, tracks.dt) if sound else (best.dynamics, {})
+    left, worth = _selected(everything, tracks.dt, tried.worth) if sound else (best.dynamics, {})
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
         near = _fitted(left, tracks[some], everything.initial)
         selected = _climb(near.dynamics, tracks)
-        if selected.rms > (1 + _WORTH) * everything.rms:
+        if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
             selected = min(selected, again, key=lambda fitted: float(fitted.cost))
-        if selected.cost < best.cost / (1 + _WORTH):
+        if selected.cost < best.cost / (1 + tried.worth):
             best = selected
-    if best.rms > _GOOD * pixel:
+    if best.rms > _GOOD * pixel and tried.kinds is None:
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
         more = _fitted(_with_law(best.dynamics, grown), tracks, best.initial)
         worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
@@ -126,9 +146,11 @@ def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tr
     return _climb(_with_law(dynamics, regress_forces(law, _free(law), tracks.x, tracks.u, tracks.dt)), tracks)
 
 
-def _with_everything(affine: Fitted, tracks: Tracks, some: slice, *, good: float) -> Fitted:
+def _with_everything(
+    affine: Fitted, tracks: Tracks, some: slice, tried: tuple[str, ...] | None, *, good: float
+) -> Fitted:
     """Fit all terms that are tried to some of the recordings: from the affine fit of all if its error is small."""
-    kinds = [kind for kind, term in term_kinds().items() if term.tried]
+    kinds = [kind for kind, term in term_kinds().items() if (term.tried if tried is None else kind in tried)]
     if affine.rms > good:
         return _identified(affine.dynamics, tuple(kinds), tracks[some])
     law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
@@ -145,16 +167,16 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
     return _fitted(dynamics, tracks, initial, active=active)
 
 
-def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, prune: bool = False) -> Fitted:
+def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, worth: float | None = None) -> Fitted:
     """Fit the parameters of given dynamics to keypoints.
 
     Args:
         dynamics: near the solution.
         tracks: of all recordings.
-        prune: drop the terms of V and R without which the cost would hardly rise, as in `identify`.
+        worth: drop the terms of V and R without which the cost would rise by less than this share; None: keep all.
     """
     fitted = _fitted(dynamics, tracks)
-    left = _selected(fitted, tracks.dt)[0] if prune else fitted.dynamics
+    left = fitted.dynamics if worth is None else _selected(fitted, tracks.dt, worth)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
     return _fitted(left, tracks, fitted.initial)
@@ -223,7 +245,7 @@ def _free(dynamics: Any) -> Any:
     return jax.tree_util.tree_map_with_path(free, dynamics)
 
 
-def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[str, float]]:
+def _selected(fitted: Fitted, dt: jax.Array, least: float) -> tuple[MechanicalDynamics, dict[str, float]]:
     """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
 
     Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
@@ -245,7 +267,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
     # keypoints alone, such as attraction, this is true of their relative motion for each total mass.
     heavy = np.array(masses)
     step = _FOLLOW * np.sqrt(np.mean(flat[heavy] ** 2))
-    curvature = curvature + np.diag(np.where(heavy, 2 * _WORTH * float(fitted.cost) / step**2, 0.0))
+    curvature = curvature + np.diag(np.where(heavy, 2 * WORTH * float(fitted.cost) / step**2, 0.0))
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
     curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
     _, unravel = ravel_pytree(parameters)
@@ -263,7 +285,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
             alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
             gives = float(_power(_lagrangian(dynamics(alone)), kind, fitted.paths, dt)) <= 0
         worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
-        if worth[kind] < _WORTH:
+        if worth[kind] < least:
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)

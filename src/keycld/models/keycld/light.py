@@ -25,6 +25,7 @@ from keycld.mechanics import (
 )
 from keycld.models.base import AbstractModel
 from keycld.models.keycld.config import KeyCLDConfig
+from keycld.models.keycld.identify import WORTH
 from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
 from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
@@ -210,7 +211,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
-    last = sequence(functools.partial(fit_dynamics, prune=config.terms is None), measure_velocity_prior)
+    refit = functools.partial(fit_dynamics, worth=WORTH if config.terms is None else None)
+    last = sequence(refit, measure_velocity_prior)
     prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
     return vision, dynamics, joint, prior
 
