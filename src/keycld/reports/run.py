@@ -8,7 +8,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld._records import read_json, read_lines
-from keycld.evaluation import Evaluation, load_evaluation
+from keycld.evaluation import MOTION, PHYSICS, Evaluation, Physics, load_evaluation, load_physics
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,8 @@ class Run:
         evaluations: the files of `evaluation/*.json` with scores under a protocol, by name; shortest horizon first.
         sweeps: potential energies along paths, None if absent.
         controls: closed-loop runs by name.
+        motion: how the motion of a clip was followed and predicted, None if absent.
+        physics: physical constants of a clip, None if absent.
     """
 
     folder: Path
@@ -32,6 +34,8 @@ class Run:
     evaluations: dict[str, Evaluation]
     sweeps: dict[str, np.ndarray] | None
     controls: dict[str, Evaluation]
+    motion: Evaluation | None = None
+    physics: Physics | None = None
 
     @property
     def headline(self) -> Evaluation | None:
@@ -67,7 +71,7 @@ def read_run(folder: str | Path) -> Run:
     folder = Path(folder)
     if not (folder / "config.json").exists():
         raise KeycldError(f"'{folder}' is not a run folder: it has no config.json; train one with `keycld train`.")
-    names = sorted(path.stem for path in (folder / "evaluation").glob("*.json"))
+    names = sorted({path.stem for path in (folder / "evaluation").glob("*.json")} - {PHYSICS})
     results = {name: load_evaluation(folder, name) for name in names}
     scored = {name: result for name, result in results.items() if "protocol" in result.scores}
     sweeps = results["sweeps"].arrays if "sweeps" in results else None
@@ -79,6 +83,8 @@ def read_run(folder: str | Path) -> Run:
         evaluations=dict(sorted(scored.items(), key=lambda item: item[1].scores["protocol"]["horizon"])),
         sweeps=sweeps if sweeps else None,
         controls={name: result for name, result in results.items() if "law" in result.scores},
+        motion=results.get(MOTION),
+        physics=load_physics(folder) if (folder / "evaluation" / f"{PHYSICS}.json").exists() else None,
     )
 
 
