@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from keycld.cli.main import main
-from keycld.cli.watch import scale_of
+from keycld.cli.watch import given, scale_of
 from keycld.drawing import save_movie
 
 _TINY = [
@@ -119,7 +119,6 @@ def _texture():
     [
         (["--length", "31 cm"], 'such as "pivot-ball = 0.31 m"'),
         (["--gravity", "-9.8"], "above 0"),
-        (["--gravity", "9.8", "--length", "pivot-ball = 1 m"], "not both"),
         (["--size", "20"], "size must be a multiple of 8"),
         (["--crop", "0", "0", "50", "50"], "does not lie inside"),
     ],
@@ -134,3 +133,5 @@ def test_wrong_options(tmp_path, capsys, more, sentence):
 def test_units_of_a_length():
     assert scale_of("pivot – ball = 31cm", None) == (("pivot", "ball"), pytest.approx(0.31))
     assert scale_of(None, 9.81) == (None, 9.81) and scale_of(None, None) is None
+    scale = scale_of("pivot-ball = 310 mm", 9.81)
+    assert given(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}

@@ -39,7 +39,6 @@ def watch(
     length: str | None = None,
     gravity: float | None = None,
     out: Path | None = None,
-    preset: str = "clip",
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     seed: int = 0,
     json: bool = False,
@@ -57,15 +56,15 @@ def watch(
         crop: Part of the picture to keep, a square in pixels of the video; by default what moves.
         size: Height and width of the pictures that the model sees, a multiple of 8.
         length: A known length, such as "pivot-ball = 0.31 m", for constants in metres.
-        gravity: The strength of gravity in m/s² instead, such as 9.81.
+        gravity: The strength of gravity in m/s², such as 9.81; sets the scale where no length does, and is compared
+            with the measured one otherwise.
         out: Run folder; by default runs/CLIP-watch-SEED.
-        preset: The recipe of the training.
-        set: Settings of the preset to change, such as vision.steps=1500.
+        set: Settings of the preset clip to change, such as vision.steps=1500.
         seed: Of weights and data order.
         json: Print the contents of evaluation/physics.json, and everything else on the standard error.
     """
     from keycld.cli.settings import parse_setting
-    from keycld.evaluation import MOTION, as_json, evaluate_motion, load_physics, save_evaluation
+    from keycld.evaluation import MOTION, as_json, evaluate_motion, load_physics, save_evaluation, save_physics
     from keycld.models import config_for
     from keycld.reports import write_report
     from keycld.training import Counted
@@ -75,39 +74,42 @@ def watch(
     if not clips:
         raise KeycldError("name at least one video: keycld watch swing.mp4 --mechanism pendulum.")
     scale = scale_of(length, gravity)
-    settings = config_for("keycld", preset, **dict(parse_setting(text) for text in set))
+    settings = config_for("keycld", "clip", **dict(parse_setting(text) for text in set))
     run = out or Path("runs") / f"{clips[0].stem}-watch-{seed}"
     with contextlib.redirect_stdout(sys.stderr if json else sys.stdout):
         data = _imported(clips, run, mechanism, fps, crop, size)
         model = train_model(data.folder, run, settings, seed=seed)
         motion = evaluate_motion(model, data, progress=Counted("predict"))
         save_evaluation(run, MOTION, motion)
-        _measure(run, model, data, motion.scores, mechanism, scale)
+        physics = _measure(run, model, data, motion.scores, mechanism, scale)
+        save_physics(run, {**physics, "given": given(scale, gravity)})
         print(f"{time.monotonic() - began:.0f} s; open {write_report(run)} in a browser", flush=True)
     print(as_json(dict(load_physics(run))) if json else _table(load_physics(run)))
 
 
 def scale_of(length: str | None, gravity: float | None) -> "Scale | None":
-    """Return what makes units metres, from a length such as "pivot-ball = 0.31 m" or from the strength of gravity.
+    """Return what makes units metres: a length such as "pivot-ball = 0.31 m", without one the strength of gravity.
 
     Raises:
-        KeycldError: the text is no length, a value is not above zero, or both are given.
+        KeycldError: the text is no length, or a value is not above zero.
     """
     from keycld.mechanics import Scale
 
-    if length is not None and gravity is not None:
-        raise KeycldError("give --length or --gravity, not both: either one sets the scale.")
-    if gravity is not None:
-        if not 0 < gravity < float("inf"):
-            raise KeycldError(f"--gravity is a number of m/s² above 0, not {gravity}.")
-        return Scale(None, gravity)
+    if gravity is not None and not 0 < gravity < float("inf"):
+        raise KeycldError(f"--gravity is a number of m/s² above 0, not {gravity}.")
     if length is None:
-        return None
+        return None if gravity is None else Scale(None, gravity)
     found = _LENGTH.fullmatch(length)
     metres = float(found[3]) * _UNITS[found[4]] if found else 0.0
     if found is None or not 0 < metres < float("inf"):
         raise KeycldError(f'--length is two ends and a length, such as "pivot-ball = 0.31 m", not "{length}".')
     return Scale((found[1], found[2]), metres)
+
+
+def given(scale: "Scale | None", gravity: float | None) -> dict[str, float]:
+    """Return what the user has measured, by the names of the constants in metres."""
+    length = {} if scale is None or scale.between is None else {f"length_{'_'.join(scale.between)}_m": scale.value}
+    return length | ({} if gravity is None else {"gravity_m": gravity})
 
 
 def _imported(
@@ -159,14 +161,29 @@ def _imported(
 
 def _measure(
     run: Path, model: "AbstractModel", data: "DataSet", motion: dict[str, Any], mechanism: str, scale: "Scale | None"
-) -> None:
-    """Measure the constants on the keypoints of the training part, and store them with the scores of the prediction."""
-    from keycld.evaluation import measure_physics, save_physics, training_tracks
+) -> "Physics":
+    """Measure the constants on the keypoints before the test part; return them with the scores of the prediction."""
+    import jax.numpy as jnp
 
+    from keycld.evaluation import measure_physics, training_tracks
+    from keycld.models.keycld.identify import Tracks, evidence
+    from keycld.models.keycld.model import KeyCLD
+    from keycld.models.keycld.recipes.clip import ClipConfig
+    from keycld.training import read_config
+
+    config = read_config(run).model_config()
+    assert isinstance(model, KeyCLD) and isinstance(config, ClipConfig)
     x, u = training_tracks(model, data)
-    measured = measure_physics(model.dynamics, x, u, data.dt, mechanism=mechanism, scale=scale)
+    worth = {}
+    if config.terms is None:
+        tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
+        worth = evidence(model.dynamics, tracks, pixel=motion["pixel"], tried=config.tried)
+    name = Path(mechanism).stem
+    measured = measure_physics(
+        model.dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
+    )
     said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton")
-    save_physics(run, {**measured.physics, "prediction": {name: motion[name] for name in said}})
+    return {**measured.physics, "prediction": {name: motion[name] for name in said}}
 
 
 def _table(physics: "Physics") -> str:

@@ -38,7 +38,8 @@ def constants(run: Run) -> str:
         return ""
     if run.physics is None:
         return html.missing("constants", "Constants", "they have not been measured")
-    rows = [_constant(name, each) for name, each in run.physics["constants"].items()]
+    given = run.physics.get("given", {})
+    rows = [_constant(name, each, given.get(name)) for name, each in run.physics["constants"].items()]
     note = (
         f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
         "the side of the cropped picture. ± is one standard error."
@@ -46,19 +47,19 @@ def constants(run: Run) -> str:
     return html.section(
         "constants",
         "Constants",
-        html.paragraph(note) + html.table(["constant", "value", "unit", "note"], rows, "scores"),
+        html.paragraph(note) + html.table(["constant", "value", "given", "unit", "note"], rows, "scores"),
     )
 
 
-def _constant(name: str, each: Mapping[str, Any]) -> tuple[str, str, str, str]:
-    note = html.text(each.get("note", ""))
+def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:
+    rest = "" if given is None else f"{given:.4g}", html.text(each["unit"]), html.text(each.get("note", ""))
     if each["value"] is None:
-        return f"<code>{html.text(name)}</code>", "not determined", html.text(each["unit"]), note
+        return f"<code>{html.text(name)}</code>", "not determined", *rest
     value = f"{each['value']:.4g}"
     if each["sigma"]:
         digits = max(0, 1 - math.floor(math.log10(each["sigma"])))
         value = f"{each['value']:.{digits}f} ± {each['sigma']:.{digits}f}"
-    return f"<code>{html.text(name)}</code>", value, html.text(each["unit"]), note
+    return f"<code>{html.text(name)}</code>", value, *rest
 
 
 def rejected(run: Run) -> str:

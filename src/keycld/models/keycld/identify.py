@@ -47,12 +47,15 @@ class Tracks:
         u: inputs `[N, l]` or `[N, T, l]`.
         dt: seconds between frames.
         constants: values of Φ that all recordings share; None: each recording has its own.
+        located: whether unknown numbers of the constraints stay where the positions alone put them; otherwise they are
+            fitted with the dynamics.
     """
 
     x: jax.Array
     u: jax.Array
     dt: jax.Array
     constants: jax.Array | None
+    located: bool = False
 
     def __getitem__(self, recordings: slice) -> "Tracks":
         """Return some of the recordings."""
@@ -66,10 +69,15 @@ class Tried:
     Attributes:
         kinds: of the terms; None: all but the last resort.
         worth: a term stays if without it the cost of the fit would rise by this share.
+        takes: each friction must take energy next to the others too, not only in their place.
+        located: pivots that the positions determine alone, because they span 1.5 rad, are not fitted with the dynamics. A
+            real mechanism deviates from every law by more than from its circle, and would pull the pivot away.
     """
 
     kinds: tuple[str, ...] | None = None
     worth: float = WORTH
+    takes: bool = False
+    located: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -121,7 +129,7 @@ def identify(
     everything = _with_everything(best, tracks, some, tried.kinds, good=_GOOD * pixel)
     # A fit of all terms that diverged says nothing about them.
     sound = bool(np.all(np.isfinite(everything.curvature)))
-    left, worth = _selected(everything, tracks.dt, tried.worth) if sound else (best.dynamics, {})
+    left, worth = _selected(everything, tracks.dt, tried) if sound else (best.dynamics, {})
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
         near = _fitted(left, tracks[some], everything.initial)
@@ -143,7 +151,7 @@ def identify(
 def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
     """Fit an affine V with terms of these kinds, from nothing."""
     law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
-    return _climb(_with_law(dynamics, regress_forces(law, _free(law), tracks.x, tracks.u, tracks.dt)), tracks)
+    return _climb(_with_law(dynamics, regress_forces(law, free_leaves(law), tracks.x, tracks.u, tracks.dt)), tracks)
 
 
 def _with_everything(
@@ -167,19 +175,42 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
     return _fitted(dynamics, tracks, initial, active=active)
 
 
-def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, worth: float | None = None) -> Fitted:
+def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> Fitted:
     """Fit the parameters of given dynamics to keypoints.
 
     Args:
         dynamics: near the solution.
         tracks: of all recordings.
-        worth: drop the terms of V and R without which the cost would rise by less than this share; None: keep all.
+        tried: drop the terms of V and R that are not worth enough, as in `identify`; None: keep all.
     """
     fitted = _fitted(dynamics, tracks)
-    left = fitted.dynamics if worth is None else _selected(fitted, tracks.dt, worth)[0]
+    left = fitted.dynamics if tried is None else _selected(fitted, tracks.dt, tried)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
     return _fitted(left, tracks, fitted.initial)
+
+
+def follow(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
+    """Fit given dynamics to growing parts of keypoint tracks, from the initial states that the first frames show."""
+    return _climb(dynamics, tracks)
+
+
+def evidence(
+    dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, tried: Tried | None = None
+) -> dict[str, float]:
+    """Return the worth of each kind of force that is tried: by which share the cost rises without it, as in `identify`.
+
+    Args:
+        dynamics: identified ones; their masses and pivots are where the fit begins.
+        tracks: of all recordings.
+        pixel: size of a pixel, image-plane units.
+        tried: as in `identify`.
+    """
+    tried = tried or Tried()
+    some = slice(None, None, max(1, len(tracks.x) // _FEW))
+    alone = _identified(dynamics, (), tracks)
+    everything = _with_everything(alone, tracks, some, tried.kinds, good=_GOOD * pixel)
+    return _selected(everything, tracks.dt, tried)[1] if np.all(np.isfinite(everything.curvature)) else {}
 
 
 def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
@@ -197,10 +228,10 @@ def _fitted(
     active: Any = None,
 ) -> Fitted:
     if active is None:
-        active = jax.tree.map(lambda leaf: jnp.ones_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
+        active = _active(dynamics, tracks.located)
     return _fit(
         dynamics,
-        _free(dynamics),
+        free_leaves(dynamics),
         tracks.x,
         tracks.u,
         tracks.dt,
@@ -210,6 +241,16 @@ def _fitted(
         frames=jnp.array(tracks.x.shape[1] if frames is None else frames),
         iterations=jnp.array(iterations),
     )
+
+
+def _active(dynamics: MechanicalDynamics, located: bool) -> Any:
+    """Return 1 for each number that a fit changes, 0 for those of the constraints if they are located."""
+
+    def active(path: Any, leaf: Any) -> Any:
+        stays = located and ".constraint_function" in jax.tree_util.keystr(path)
+        return (jnp.zeros_like if stays else jnp.ones_like)(leaf) if eqx.is_inexact_array(leaf) else leaf
+
+    return jax.tree_util.tree_map_with_path(active, dynamics)
 
 
 def _with_law(dynamics: MechanicalDynamics, law: ConstrainedLagrangian) -> MechanicalDynamics:
@@ -236,7 +277,7 @@ def _affine(law: ConstrainedLagrangian) -> ConstrainedLagrangian:
     )
 
 
-def _free(dynamics: Any) -> Any:
+def free_leaves(dynamics: Any) -> Any:
     """Return which leaves are fitted: all but the perceptron of g, which has thousands of weights and little to say."""
 
     def free(path: Any, leaf: Any) -> bool:
@@ -245,13 +286,13 @@ def _free(dynamics: Any) -> Any:
     return jax.tree_util.tree_map_with_path(free, dynamics)
 
 
-def _selected(fitted: Fitted, dt: jax.Array, least: float) -> tuple[MechanicalDynamics, dict[str, float]]:
+def _selected(fitted: Fitted, dt: jax.Array, tried: Tried) -> tuple[MechanicalDynamics, dict[str, float]]:
     """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
 
     Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
-    worth nothing: next to each other, two of them may have opposite signs.
+    worth nothing: next to each other, two of them may have opposite signs, unless `tried.takes`.
     """
-    parameters, rest = eqx.partition(fitted.dynamics, _free(fitted.dynamics))
+    parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(_lagrangian(fitted.dynamics))
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
@@ -283,9 +324,10 @@ def _selected(fitted: Fitted, dt: jax.Array, least: float) -> tuple[MechanicalDy
         if kind in dissipations:
             rivals = linear & np.array([owner in (kept & dissipations) - {kind} for owner in owners])
             alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
-            gives = float(_power(_lagrangian(dynamics(alone)), kind, fitted.paths, dt)) <= 0
+            laws = [alone, flat] if tried.takes else [alone]
+            gives = any(float(_power(_lagrangian(dynamics(law)), kind, fitted.paths, dt)) <= 0 for law in laws)
         worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
-        if worth[kind] < least:
+        if worth[kind] < tried.worth:
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)

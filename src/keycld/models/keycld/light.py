@@ -25,7 +25,6 @@ from keycld.mechanics import (
 )
 from keycld.models.base import AbstractModel
 from keycld.models.keycld.config import KeyCLDConfig
-from keycld.models.keycld.identify import WORTH
 from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
 from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
@@ -206,12 +205,12 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     if config.model == "node2":
         dynamics = _gradient_stage(second, clips)
     else:
-        identify = functools.partial(identify_dynamics, terms=config.terms)
+        identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
         judge = functools.partial(judge_dynamics, worst=second.worst)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
-    refit = functools.partial(fit_dynamics, worth=WORTH if config.terms is None else None)
+    refit = functools.partial(fit_dynamics, tried=config.tried if config.terms is None else None)
     last = sequence(refit, measure_velocity_prior)
     prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
     return vision, dynamics, joint, prior

@@ -14,7 +14,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
+from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State, terms_of
 from keycld.models.keycld.identify import Tracks, Tried, explain, identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
@@ -22,6 +22,8 @@ from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
+# Radians that positions must span around a pivot to determine it alone.
+_TURNED = 1.5
 # A median frame is that of about so many frames.
 _MEDIAN = 300
 # Pixels of error that need no explanation.
@@ -181,7 +183,7 @@ def identify_dynamics(
     x, u = _observed(model, data, _FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
-    tracks = Tracks(x, u, data.dt, model.constants)
+    tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
     found = identify(model.dynamics, tracks, pixel=pixel, terms=terms, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, found.dynamics), x)
     _report(model, found.rms / pixel)
@@ -189,7 +191,7 @@ def identify_dynamics(
 
 
 def fit_dynamics(
-    model: Any, data: Resident, *, trajectories: int = _FITTED, worth: float | None = None
+    model: Any, data: Resident, *, trajectories: int = _FITTED, tried: Tried | None = None
 ) -> tuple[Any, Resident]:
     """Fit masses, V, g and R to the keypoints of some recordings, by least squares through the dynamics.
 
@@ -201,16 +203,17 @@ def fit_dynamics(
         model: the model whose dynamics are fitted.
         data: the training data.
         trajectories: about how many of the recordings are observed.
-        worth: drop terms of V and R without which the cost would rise by less than this share; None: keep all.
+        tried: drop terms of V and R that the motion does not ask for after all; None: keep all.
     """
     if not isinstance(model, KeyCLD):
         return model, data
     x, u = _observed(model, data, trajectories)
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
-    fitted = refit(model.dynamics, Tracks(x, u, data.dt, model.constants), worth=worth)
+    tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
+    fitted = refit(model.dynamics, tracks, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
-    if worth is not None:
+    if tried is not None:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
     # The median of |e| of a normal distribution is 0.67 σ.
     error = jnp.median(jnp.abs(fitted.paths - x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
@@ -259,6 +262,22 @@ def _observed(model: Any, data: Resident, trajectories: int, first: int = 0) -> 
     step = max(1, len(data.u) // trajectories)
     some = range(first % step, len(data.u), step)
     return jnp.stack([_observe(model, data.image[i]) for i in some]), data.u[some.start : some.stop : some.step]
+
+
+def _located(model: KeyCLD, x: jax.Array, tried: Tried | None) -> bool:
+    """Return whether unknown numbers of the constraints stay where the positions `[N, T, 2K]` put them (`Tried`)."""
+    phi = model.law.constraint_function
+    if tried is None or not tried.located or not isinstance(phi, Constraints):
+        return False
+    points = np.asarray(x, float).reshape(-1, len(phi.keypoints), 2)
+    for item in phi.items:
+        if isinstance(item, DistanceToPoint) and item.learned is not None:
+            away = points[:, phi.keypoints.index(item.keypoint)] - np.asarray(item.learned)
+            middle = np.arctan2(*away.mean(axis=0)[::-1])
+            turned = np.angle(np.exp(1j * (np.arctan2(away[:, 1], away[:, 0]) - middle)))
+            if np.ptp(turned) < _TURNED:
+                return False
+    return True
 
 
 def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:

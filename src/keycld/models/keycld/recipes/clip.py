@@ -1,18 +1,19 @@
 """The preset for short clips of one real motion."""
 
 import dataclasses
-import functools
 from typing import TYPE_CHECKING
 
+from keycld.models.keycld.config import MODELS
 from keycld.models.keycld.recipes.fast import FastConfig, JointStage, VisionStage
 from keycld.models.registry import register_preset
 from keycld.models.scene import Scene
 
 if TYPE_CHECKING:
+    from keycld.models.keycld.identify import Tried
     from keycld.stages import Stage
 
 
-@register_preset("clip", "keycld")
+@register_preset("clip", *MODELS)
 @dataclasses.dataclass(frozen=True)
 class ClipConfig(FastConfig):
     """The preset of `keycld watch`: for one short clip of a real mechanism, 60 to some hundred frames.
@@ -25,9 +26,9 @@ class ClipConfig(FastConfig):
     """
 
     velocity_prior: bool = False
-    """Whether most recordings begin at rest; those of a clip begin anywhere."""
+    """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
     first_frames: float = 0.0
-    """Share of the clips that contain the first frames of a recording."""
+    """Share of the clips that contain the first frames of a trajectory."""
     rigid: float = 2.0
     """Weight of what patches around keypoints share."""
     patch: float = 0.06
@@ -40,36 +41,28 @@ class ClipConfig(FastConfig):
     """Third stage."""
 
     @property
-    def tried(self) -> tuple[str, ...] | None:
-        """Kinds of forces that are tried: friction, and all kinds where a keypoint is not held by a pivot or a link.
+    def tried(self) -> "Tried":
+        """Friction, and all kinds where a keypoint slides or is free; one short motion can ask for any other force.
 
-        One short motion with slightly wrong keypoints can ask for a spring at a hinge that has none.
+        With keypoints that are a little wrong, a hinge would get a spring that it does not have.
         """
         from keycld.mechanics import AbstractDisplacement, AbstractDissipationTerm, term_kinds
+        from keycld.models.keycld.identify import Tried
 
-        hinged = {
-            name
-            for item in self.phi.items
-            if isinstance(item, AbstractDisplacement) and item.normal is None
-            for name in item.keypoints
-        }
-        slides = any(isinstance(item, AbstractDisplacement) and item.normal is not None for item in self.phi.items)
-        if slides or hinged != set(self.phi.keypoints):
-            return None
-        return tuple(kind for kind, term in term_kinds().items() if issubclass(term, AbstractDissipationTerm))
+        relations = [item for item in self.phi.items if isinstance(item, AbstractDisplacement)]
+        hinged = {name for item in relations if item.normal is None for name in item.keypoints}
+        if hinged != set(self.phi.keypoints) or any(item.normal is not None for item in relations):
+            return Tried(None, self.worth, takes=True, located=True)
+        friction = (kind for kind, term in term_kinds().items() if issubclass(term, AbstractDissipationTerm))
+        return Tried(tuple(friction), self.worth, takes=True, located=True)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with the loss of patches; without `joint` if it has no steps."""
-        from keycld.models.keycld.identify import Tried
-        from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics, measure_background
+        from keycld.models.keycld.prepare import measure_background
         from keycld.models.keycld.rigid_loss import RigidLoss
 
-        vision, dynamics, joint, prior = super().stages(scene)
+        vision, *others = super().stages(scene)
         loss = RigidLoss(vision.loss, self.rigid, self.patch)
         other = RigidLoss(vision.alternative, self.rigid, self.patch)
         vision = dataclasses.replace(vision, loss=loss, alternative=other, prepare=measure_background)
-        identify = functools.partial(identify_dynamics, terms=self.terms, tried=Tried(self.tried, self.worth))
-        dynamics = dataclasses.replace(dynamics, prepare=identify)
-        refit = functools.partial(fit_dynamics, worth=self.worth if self.terms is None else None)
-        prior = dataclasses.replace(prior, prepare=refit)
-        return (vision, dynamics, joint, prior) if joint.steps else (vision, dynamics, prior)
+        return vision, *(stage for stage in others if stage.name != "joint" or stage.steps)
