@@ -118,6 +118,10 @@ def _texture():
     ("more", "sentence"),
     [
         (["--length", "31 cm"], 'such as "pivot-ball = 0.31 m"'),
+        (
+            ["--length", "pivot-tip = 31 cm"],
+            "no length pivot-tip is constant in this mechanism: choose from pivot",
+        ),
         (["--gravity", "-9.8"], "above 0"),
         (["--size", "20"], "size must be a multiple of 8"),
         (["--crop", "0", "0", "50", "50"], "does not lie inside"),
@@ -131,7 +135,7 @@ def test_wrong_options(tmp_path, capsys, more, sentence):
 
 
 def test_units_of_a_length():
-    assert scale_of("pivot – ball = 31cm", None) == (("pivot", "ball"), pytest.approx(0.31))
-    assert scale_of(None, 9.81) == (None, 9.81) and scale_of(None, None) is None
-    scale = scale_of("pivot-ball = 310 mm", 9.81)
+    assert scale_of("ball – pivot = 31cm", None, "pendulum") == (("pivot", "ball"), pytest.approx(0.31))
+    assert scale_of(None, 9.81, "pendulum") == (None, 9.81) and scale_of(None, None, "pendulum") is None
+    scale = scale_of("pivot-ball = 310 mm", 9.81, "pendulum")
     assert given(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}

@@ -73,7 +73,7 @@ def watch(
     began = time.monotonic()
     if not clips:
         raise KeycldError("name at least one video: keycld watch swing.mp4 --mechanism pendulum.")
-    scale = scale_of(length, gravity)
+    scale = scale_of(length, gravity, mechanism)
     settings = config_for("keycld", "clip", **dict(parse_setting(text) for text in set))
     run = out or Path("runs") / f"{clips[0].stem}-watch-{seed}"
     with contextlib.redirect_stdout(sys.stderr if json else sys.stdout):
@@ -87,13 +87,15 @@ def watch(
     print(as_json(dict(load_physics(run))) if json else _table(load_physics(run)))
 
 
-def scale_of(length: str | None, gravity: float | None) -> "Scale | None":
+def scale_of(length: str | None, gravity: float | None, mechanism: str) -> "Scale | None":
     """Return what makes units metres: a length such as "pivot-ball = 0.31 m", without one the strength of gravity.
 
     Raises:
-        KeycldError: the text is no length, or a value is not above zero.
+        KeycldError: the text is no length, the mechanism has no such length, or a value is not above zero.
     """
-    from keycld.mechanics import Scale
+    import numpy as np
+
+    from keycld.mechanics import Scale, lengths_of, load_constraints
 
     if gravity is not None and not 0 < gravity < float("inf"):
         raise KeycldError(f"--gravity is a number of m/s² above 0, not {gravity}.")
@@ -103,7 +105,12 @@ def scale_of(length: str | None, gravity: float | None) -> "Scale | None":
     metres = float(found[3]) * _UNITS[found[4]] if found else 0.0
     if found is None or not 0 < metres < float("inf"):
         raise KeycldError(f'--length is two ends and a length, such as "pivot-ball = 0.31 m", not "{length}".')
-    return Scale((found[1], found[2]), metres)
+    constraints = load_constraints(mechanism)
+    known = {frozenset(ends): ends for ends in lengths_of(constraints, np.ones(constraints.count))}
+    if frozenset(found.group(1, 2)) not in known:
+        names = ", ".join("-".join(ends) for ends in known.values()) or "none"
+        raise KeycldError(f"no length {found[1]}-{found[2]} is constant in this mechanism: choose from {names}.")
+    return Scale(known[frozenset(found.group(1, 2))], metres)
 
 
 def given(scale: "Scale | None", gravity: float | None) -> dict[str, float]:

@@ -11,6 +11,7 @@ import pytest
 from keycld.data import Trajectories, resident
 from keycld.mechanics import Constraints, DistanceToPoint, OnLine, terms_of, with_kinds
 from keycld.models import Scene, config_for
+from keycld.models.keycld.identify import Tried
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.vision import AbstractEstimator, Observation
 from scenes import DT, SIZE, disc_pendulum, draw

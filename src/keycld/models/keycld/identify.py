@@ -70,8 +70,8 @@ class Tried:
         kinds: of the terms; None: all but the last resort.
         worth: a term stays if without it the cost of the fit would rise by this share.
         takes: each friction must take energy next to the others too, not only in their place.
-        located: pivots that the positions determine alone, because they span 1.5 rad, are not fitted with the dynamics. A
-            real mechanism deviates from every law by more than from its circle, and would pull the pivot away.
+        located: pivots that the positions determine alone, because they span 1.5 rad, are not fitted with the dynamics.
+            A real mechanism deviates from every law by more than from its circle, and would pull the pivot away.
     """
 
     kinds: tuple[str, ...] | None = None
