@@ -192,7 +192,11 @@ def refuse_failed(folder: Path) -> None:
     """Raise KeycldError for a run whose training has failed: what it left is no model."""
     verdict = read_verdict(folder)
     if verdict is not None and not verdict["passed"]:
-        raise KeycldError(f"the training of {folder} has failed in stage {'; '.join(verdict['failures'][-1:])}")
+        raise KeycldError(
+            f"there is no model in {folder}, because its training has failed {len(verdict['failures'])} times (`keycld "
+            f"report {folder}` shows each), the last time in stage "
+            f"{'; '.join(verdict['failures'][-1:])}"
+        )
 
 
 class _Line(TypedDict):

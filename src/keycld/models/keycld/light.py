@@ -33,6 +33,7 @@ from keycld.models.keycld.prepare import (
     fit_dynamics,
     identify_dynamics,
     judge_dynamics,
+    judge_trained,
     judge_vision,
     measure_statistics,
     measure_velocity_prior,
@@ -212,7 +213,10 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
     last = sequence(functools.partial(fit_dynamics, prune=config.terms is None), measure_velocity_prior)
-    prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
+    judge = functools.partial(judge_trained, reconstruction=first.worst, law=second.worst)
+    prior = dataclasses.replace(
+        joint, name="prior", steps=0, prepare=last, every=0, refresh=None, judge=judge, validate=True
+    )
     return vision, dynamics, joint, prior
 
 

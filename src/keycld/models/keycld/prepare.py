@@ -16,7 +16,7 @@ from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
 from keycld.models.keycld.identify import Tracks, explain, identify, refit
-from keycld.models.keycld.losses import unevenness
+from keycld.models.keycld.losses import squared_error, unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -128,6 +128,27 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
         f"those of constant velocity {straight[k]:.2f}, of constant acceleration {curved[k]:.2f}. Check keypoints and "
         "constraints, and that all inputs are in the data."
     )
+
+
+def judge_trained(
+    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float
+) -> str | None:
+    """Return what has failed in the whole training, or None: the criteria of its first two stages, at its end.
+
+    Where the dynamics cannot follow, the stage joint may lower its loss by keypoints that leave their parts or stand
+    still.
+
+    Args:
+        model: after the last stage.
+        data: the training data.
+        terms: not used.
+        reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
+        law: `worst` of `judge_dynamics`.
+    """
+    some = range(0, len(data.u), max(1, len(data.u) // _COMPARED))
+    error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
+    seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
+    return seen or judge_dynamics(model, data, terms, worst=law)
 
 
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -280,6 +301,13 @@ def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
     return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
+
+
+@eqx.filter_jit
+def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
+    """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
+    frames = image.astype(jnp.float32) / 255.0
+    return squared_error(jax.vmap(lambda frame: model.renderer(model.observe(frame).keypoints))(frames), frames)
 
 
 @eqx.filter_jit
