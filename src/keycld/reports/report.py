@@ -21,8 +21,8 @@ _SECTIONS = (
     run_sections.training,
     run_sections.reproduction,
 )
-
-
+# What a training that failed has to show.
+_OF_FAILURE = (run_sections.verdict, run_sections.training, run_sections.reproduction)
 _CLIP_SECTIONS = (
     clip_sections.constants,
     clip_sections.prediction,
@@ -37,7 +37,8 @@ def write_report(run_folder: str | Path) -> Path:
     """Write `report.html` into a run folder, and its movies and figures into `media/`; return the path of the page.
 
     It reads stored results only: `config.json`, `environment.json`, `metrics.jsonl` and `evaluation/`. A line replaces
-    each section whose results are missing. A run that learned a clip has a page of its own.
+    each section whose results are missing. The page of a training that failed says why, and shows nothing as a model. A
+    run that learned a clip has a page of its own.
 
     Raises:
         KeycldError: it is not a run folder, a stored file is damaged, or the folder cannot be written.
@@ -49,8 +50,8 @@ def write_report(run_folder: str | Path) -> Path:
 
 def _write(run: Run, folder: Path) -> Path:
     title = f"{run.config.get('system', 'run')} · KeyCLD"
-    if run.motion is None:
-        sections = "".join(section(run) for section in _SECTIONS)
+    if run.motion is None or run.failed:
+        sections = "".join(section(run) for section in (_OF_FAILURE if run.failed else _SECTIONS))
         body = prediction_sections.head(run, sections) + sections
     else:
         sections = "".join(section(run) for section in _CLIP_SECTIONS)

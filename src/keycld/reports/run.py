@@ -9,6 +9,7 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld._records import read_json, read_lines
 from keycld.evaluation import MOTION, PHYSICS, Evaluation, Physics, load_evaluation, load_physics
+from keycld.training import read_verdict
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Run:
         evaluations: the files of `evaluation/*.json` with scores under a protocol, by name; shortest horizon first.
         sweeps: potential energies along paths, None if absent.
         controls: closed-loop runs by name.
+        failures: what failed in each attempt of the training, in a sentence each.
+        failed: whether the last of them ended the training.
         motion: how the motion of a clip was followed and predicted, None if absent.
         physics: physical constants of a clip, None if absent.
     """
@@ -34,6 +37,8 @@ class Run:
     evaluations: dict[str, Evaluation]
     sweeps: dict[str, np.ndarray] | None
     controls: dict[str, Evaluation]
+    failures: list[str]
+    failed: bool
     motion: Evaluation | None = None
     physics: Physics | None = None
 
@@ -75,6 +80,7 @@ def read_run(folder: str | Path) -> Run:
     results = {name: load_evaluation(folder, name) for name in names}
     scored = {name: result for name, result in results.items() if "protocol" in result.scores}
     sweeps = results["sweeps"].arrays if "sweeps" in results else None
+    verdict = read_verdict(folder) or {"passed": True, "failures": []}
     return Run(
         folder=folder,
         config=_json(folder / "config.json"),
@@ -83,6 +89,8 @@ def read_run(folder: str | Path) -> Run:
         evaluations=dict(sorted(scored.items(), key=lambda item: item[1].scores["protocol"]["horizon"])),
         sweeps=sweeps if sweeps else None,
         controls={name: result for name, result in results.items() if "law" in result.scores},
+        failures=verdict["failures"],
+        failed=not verdict["passed"],
         motion=results.get(MOTION),
         physics=load_physics(folder) if (folder / "evaluation" / f"{PHYSICS}.json").exists() else None,
     )
