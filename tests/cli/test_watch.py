@@ -11,7 +11,7 @@ from keycld.cli.watch import given, scale_of
 from keycld.drawing import save_movie
 
 _TINY = [
-    "width=8", "groups=2", "vision.steps=6", "vision.candidates=1", "vision.batch=4", "vision.worst=1e9",
+    "width=8", "substeps=1", "vision.steps=150", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
     "dynamics.worst=1e9", "terms=viscous,",
 ]  # fmt: skip
 

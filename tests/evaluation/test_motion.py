@@ -5,7 +5,7 @@ import pytest
 
 from keycld import KeycldError
 from keycld.data import DataSet, write
-from keycld.evaluation import evaluate_motion, load_evaluation, save_evaluation, training_tracks
+from keycld.evaluation import evaluate_motion, load_evaluation, save_evaluation
 from keycld.evaluation.motion import polynomial, valid_frames
 from scenes import disc_pendulum
 from swing import RADIUS, Still, Swing
@@ -69,11 +69,6 @@ def test_polynomials_continue_parabolas_exactly():
     off = np.linalg.norm(polynomial(path[:, :5], 20, 1) - path, axis=-1)[..., 0]
     assert off[0, -1] > 0.5
     assert valid_frames(np.array([[0.0, 0.0, 0.01, 0.05, 0.2], [0.0] * 5]), 2) == {"0.03": 2.0, "0.1": 2.5}
-
-
-def test_the_tracks_of_a_clip_are_those_of_training_and_validation_joined(clip):
-    x, u = training_tracks(Swing.right(), clip)
-    assert x.shape == (1, 52, 2) and u.shape == (1, 1)
 
 
 def test_models_without_keypoints_and_short_recordings_are_refused(clip):

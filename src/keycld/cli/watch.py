@@ -93,7 +93,7 @@ def scale_of(length: str | None, gravity: float | None, mechanism: str) -> "Scal
     Raises:
         KeycldError: the text is no length, the mechanism has no such length, or a value is not above zero.
     """
-    import numpy as np
+    import jax.numpy as jnp
 
     from keycld.mechanics import Scale, lengths_of, load_constraints
 
@@ -106,7 +106,7 @@ def scale_of(length: str | None, gravity: float | None, mechanism: str) -> "Scal
     if found is None or not 0 < metres < float("inf"):
         raise KeycldError(f'--length is two ends and a length, such as "pivot-ball = 0.31 m", not "{length}".')
     constraints = load_constraints(mechanism)
-    known = {frozenset(ends): ends for ends in lengths_of(constraints, np.ones(constraints.count))}
+    known = {frozenset(ends): ends for ends in lengths_of(constraints, jnp.ones(constraints.count))}
     if frozenset(found.group(1, 2)) not in known:
         names = ", ".join("-".join(ends) for ends in known.values()) or "none"
         raise KeycldError(f"no length {found[1]}-{found[2]} is constant in this mechanism: choose from {names}.")
@@ -169,10 +169,11 @@ def _imported(
 def _measure(
     run: Path, model: "AbstractModel", data: "DataSet", motion: dict[str, Any], mechanism: str, scale: "Scale | None"
 ) -> "Physics":
-    """Measure the constants on the keypoints before the test part; return them with the scores of the prediction."""
+    """Measure the constants on the training keypoints; return them with the scores of the prediction."""
     import jax.numpy as jnp
 
     from keycld.evaluation import measure_physics, training_tracks
+    from keycld.mechanics import MechanicalDynamics
     from keycld.models.keycld.identify import Tracks, evidence
     from keycld.models.keycld.model import KeyCLD
     from keycld.models.keycld.recipes.clip import ClipConfig
@@ -180,14 +181,16 @@ def _measure(
 
     config = read_config(run).model_config()
     assert isinstance(model, KeyCLD) and isinstance(config, ClipConfig)
+    dynamics = model.dynamics
+    assert isinstance(dynamics, MechanicalDynamics)
     x, u = training_tracks(model, data)
     worth = {}
     if config.terms is None:
         tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
-        worth = evidence(model.dynamics, tracks, pixel=motion["pixel"], tried=config.tried)
+        worth = evidence(dynamics, tracks, pixel=motion["pixel"], tried=config.tried)
     name = Path(mechanism).stem
     measured = measure_physics(
-        model.dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
+        dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
     )
     said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton")
     return {**measured.physics, "prediction": {name: motion[name] for name in said}}

@@ -113,16 +113,10 @@ def evaluate_motion(
 
 
 def training_tracks(model: HasKeypoints, data: "DataSet") -> tuple[Float[np.ndarray, "N T dim"], np.ndarray]:
-    """Return the observed keypoints of the training recordings, and their inputs.
-
-    A single training recording and a single validation recording, as of a clip, follow each other in time and are
-    joined.
-    """
+    """Return the keypoints observed in the training recordings, and their inputs."""
     train = data.split("train")
-    x, u = _observed(model, train.image), train.input
-    if len(x) == 1 and data.count("validation") == 1 and u.ndim == 2:
-        x = np.concatenate([x, _observed(model, data.split("validation").image)], axis=1)
-    return x.reshape(*x.shape[:2], -1), u
+    x = _observed(model, train.image)
+    return x.reshape(*x.shape[:2], -1), train.input
 
 
 def polynomial(given: Float[np.ndarray, "N n K 2"], length: int, degree: int) -> Float[np.ndarray, "N T K 2"]:
@@ -144,7 +138,7 @@ def valid_frames(error: Float[np.ndarray, "N T"], given: int) -> dict[str, float
     """Return after how many predicted frames the error first exceeds each of `LIMITS`: the mean over recordings."""
     after = error[:, given:]
     return {
-        f"{limit:g}": float(np.mean([np.argmax(bad) if bad.any() else len(bad) for bad in after > limit]))
+        f"{limit:g}": float(np.mean([int(np.argmax(bad)) if bad.any() else len(bad) for bad in after > limit]))
         for limit in LIMITS
     }
 

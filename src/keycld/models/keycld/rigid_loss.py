@@ -22,14 +22,14 @@ _FLOOR, _DIM = 1e-2, 0.02
 class RigidLoss(AbstractLoss):
     """Loss of single frames: that of `VisionLoss` plus w_r times the negative logarithm of what patches share.
 
-        L_r = −Σ_k log(ε + |mean over frames of P_k|²) − ½ log(ε + mean over frames of |P_k|²)
-        P_k(g) = D(x_k + R_k g),    |P|² = Σ_g b_g |P(g)|² / Σ_g b_g
+        L_r = −Σ_k (log(ε + |mean over frames of P_k|²) − ½ log(ε + mean over frames of |P_k|²))
+        P_k(g) = D(x_k + R_k g) Π_{j≠k} (1 − b(x_k + R_k g − x_j)),    |P|² = Σ_g b(g) |P(g)|² / Σ_g b(g)
 
     D is a frame minus the background, blurred by a pixel, with whitened colours: a part counts that stands out by its
-    hue, even if a bright rod leads to it. g are the points of a patch around the keypoint, b_g = exp(−|g|²/2s²); R_k
+    hue, even if a bright rod leads to it. g are the points of a patch around the keypoint, b(g) = exp(−|g|²/2s²); R_k
     turns the patch with the link that ends at keypoint k: along x_k − p for a keypoint at a constant distance from p,
-    along x_k − x_j for one at a constant distance from keypoint j alone, otherwise not at all. The second term keeps
-    frames that are brighter than others from pulling their keypoints away.
+    along x_k − x_j for one at a constant distance from keypoint j alone, otherwise not at all. The product leaves a
+    part to one keypoint, and the second logarithm keeps bright frames from pulling their keypoints away.
 
     The picture passes through keypoints that lie anywhere, as long as they move as their parts do: on circles around
     other centres, with other radii. On 263 frames of a real pendulum the pivot was 0.2 away. Patches around keypoints
@@ -79,7 +79,10 @@ def _shared(model: AbstractKeypointModel, keypoints: Array, frames: Array, width
     def sampled(frame: Array, rows: Array, columns: Array) -> Array:
         return jnp.stack([map_coordinates(frame[..., c], [rows, columns], 1, mode="nearest") for c in range(3)], -1)
 
-    patches = jax.vmap(sampled)(moving, rows, columns)
+    far = jnp.sum((places[:, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
+    others = 1 - jnp.eye(keypoints.shape[1])[None, :, None]
+    own = jnp.prod(1 - others * jnp.exp(-far / (2 * width**2)), axis=-1)
+    patches = jax.vmap(sampled)(moving, rows, columns) * own[..., None]
     weight = jnp.exp(-jnp.sum(grid**2, axis=-1) / (2 * width**2))
     weight = weight / jnp.sum(weight)
     shared = jnp.einsum("g,kgc->k", weight, jnp.mean(patches, axis=0) ** 2)

@@ -58,10 +58,12 @@ class ClipConfig(FastConfig):
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with the loss of patches; without `joint` if it has no steps."""
+        from keycld.models.keycld.losses import VisionLoss
         from keycld.models.keycld.prepare import measure_background
         from keycld.models.keycld.rigid_loss import RigidLoss
 
         vision, *others = super().stages(scene)
+        assert isinstance(vision.loss, VisionLoss) and isinstance(vision.alternative, VisionLoss)
         loss = RigidLoss(vision.loss, self.rigid, self.patch)
         other = RigidLoss(vision.alternative, self.rigid, self.patch)
         vision = dataclasses.replace(vision, loss=loss, alternative=other, prepare=measure_background)
