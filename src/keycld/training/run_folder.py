@@ -42,6 +42,8 @@ class RunConfig:
         checkpoint_seconds: time between checkpoints.
         command: the command line of the run.
         devices: number of devices that shared each batch.
+        minutes: time that the steps were shortened to; None: they were not.
+        share: of the recipe's steps; `settings` has what is left of them.
         schema_version: version of this file's format; earlier ones are migrated on reading.
     """
 
@@ -59,6 +61,8 @@ class RunConfig:
     checkpoint_seconds: float
     command: str
     devices: int = 1
+    minutes: float | None = None
+    share: float = 1.0
     schema_version: int = SCHEMA_VERSION
 
     def decides(self) -> dict[str, Any]:

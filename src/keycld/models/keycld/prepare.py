@@ -26,6 +26,9 @@ _MEASURED = 200
 _CLOSE = 0.5
 # About how many recordings a fit observes, and a comparison of names.
 _FITTED, _COMPARED = 150, 8
+# Consecutive frames of a recording that a fit observes, at most. They tell the forces; more frames cost memory and time
+# in proportion, and tell little where nearby motions part.
+_SPAN = 80
 # All orders of so many keypoints are compared: 720.
 _MOST_ORDERED = 6
 
@@ -150,7 +153,7 @@ def judge_trained(
 
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Cache the keypoints that the model observes in every training frame, `[N, T, 2K]`."""
-    observed, _ = _observed(model, data, len(data.u))
+    observed = jnp.stack([_observe(model, data.image[i]) for i in range(len(data.u))])
     return model, eqx.tree_at(lambda d: d.cached, data, observed, is_leaf=lambda x: x is None)
 
 
@@ -226,7 +229,7 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = _F
     """
     if model.velocity_prior is None:
         return model, data
-    x, u = _observed(model, data, trajectories)
+    x, u = _observed(model, data, trajectories, taken_up=False)
     return eqx.tree_at(lambda m: m.velocity_prior, model, _velocity_prior(model, x, u, data.dt)), data
 
 
@@ -248,11 +251,23 @@ def _report(model: KeyCLD, pixels: float) -> None:
     print(f"dynamics     affine V{acting}; fitted paths are {pixels:.2f} pixels from the keypoints", flush=True)
 
 
-def _observed(model: Any, data: Resident, trajectories: int, first: int = 0) -> tuple[jax.Array, jax.Array]:
-    """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs."""
+def _observed(
+    model: Any, data: Resident, trajectories: int, first: int = 0, *, taken_up: bool = True
+) -> tuple[jax.Array, jax.Array]:
+    """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs.
+
+    Long recordings are observed for a while only: `taken_up`, from frames on that are spread over them, else from
+    their first frame on.
+    """
     step = max(1, len(data.u) // trajectories)
-    some = range(first % step, len(data.u), step)
-    return jnp.stack([_observe(model, data.image[i]) for i in some]), data.u[some.start : some.stop : some.step]
+    some, length = range(first % step, len(data.u), step), data.image.shape[1]
+    span = min(_SPAN, length)
+    begin = np.linspace(0, (length - span) * taken_up, len(some)).round().astype(int)
+    x = [_observe(model, data.image[i][k : k + span]) for i, k in zip(some, begin, strict=True)]
+    u = data.u[some.start : some.stop : some.step]
+    if u.ndim == 3:
+        u = jnp.stack([each[k : k + span] for each, k in zip(u, begin, strict=True)])
+    return jnp.stack(x), u
 
 
 def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:
