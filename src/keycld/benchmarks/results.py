@@ -33,9 +33,20 @@ class _Vpt(TypedDict):
     mean: float
 
 
+class _Friction(TypedDict):
+    found: float | None
+    true: float | None
+
+
+class _State(TypedDict):
+    acceleration: NotRequired[float | None]
+    friction: NotRequired[_Friction | None]
+
+
 class _Scores(TypedDict):
     vpt: dict[str, _Vpt]
     epsilon: float
+    state: NotRequired[_State]
     table_units: NotRequired[dict[str, float | None]]
     baselines: dict[str, dict[str, float | dict[str, float | None]]]
 
