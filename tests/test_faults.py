@@ -166,6 +166,12 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     for settings in ({"terms": 30}, {"terms": [1]}):
         with pytest.raises(KeycldError, match="terms of preset 'fast' does not take"):
             config_for("keycld", "fast", **settings)
+    for settings in ({"constraints": 3}, {"vision": {"constraint": [1.0, 2.0, 3.0]}}, {"shared_constants": 1}):
+        with pytest.raises(KeycldError, match="takes a|TOML text"):
+            config_for("keycld", "fast", **settings).completed()
+    for settings in ({"sigma": 1e308}, {"sigma": 1e-320}, {"width": 2**31}):
+        with pytest.raises(KeycldError, match=r"is 0 or between 1e-12 and 1e12, a count below 2\^31"):
+            config_for("keycld", "fast", **settings)
     with pytest.raises(KeycldError, match="TOML text"):
         config_for("keycld", "fast", constraints=[]).completed()
     assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
@@ -174,6 +180,10 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     stored = json.loads((REPOSITORY / "results/keycld/fast/pendulum-keycld-0.json").read_text())
     next(iter(stored["curves"].values()))["low"].pop()
     with pytest.raises(Unexpected, match="same length"):
+        checked(stored, Result)
+    stored["curves"] = {}
+    next(iter(stored["scores"].values()))["baselines"]["mean image"].pop("1")
+    with pytest.raises(Unexpected, match=r"baselines.mean image.1' is missing"):
         checked(stored, Result)
 
 

@@ -24,6 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from validation.faults.cases import chosen
 from validation.faults.events import changed_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -32,15 +33,7 @@ _EXTRA_SECONDS = 10.0
 _WAITING = 8.0
 _MOST_BYTES = 2e9
 # A process with more bytes than this, or after this many cases, is replaced.
-_GROWN, _ENOUGH = 1.2e9, 500
-
-
-def chosen(number: int, seed: int) -> tuple[Any, tuple[str, ...]]:
-    """Return file and verb of a case: each file in turn, then each of its verbs."""
-    from validation.faults.cases import TARGETS
-
-    target = TARGETS[number % len(TARGETS)]
-    return target, target.verbs[(number // len(TARGETS) + seed) % len(target.verbs)]
+_GROWN, _ENOUGH = 1.2e9, 4000
 
 
 class Worker:
@@ -79,6 +72,7 @@ class Worker:
             if hung:
                 break
         said += _drained(self._said)
+        used = _processor_seconds(self._pid) - before
         self.cases += 1
         if answer.endswith(b"\n"):
             code, peak, outside = json.loads(answer)
@@ -86,7 +80,8 @@ class Worker:
                 self.end()
         else:
             code, peak, outside = self.end(), 0, []
-        return judged(code, hung, bytes(said), peak, since) | {"outside": outside}
+        found = judged(code, hung, bytes(said), peak, since)
+        return found | {"outside": outside, "processor_seconds": round(used, 2)}
 
     def leave(self) -> None:
         """Leave the folder of the last verb."""
@@ -152,7 +147,7 @@ def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str
     strangers = [path for path in case.rglob("*") if outer / "work" not in (path, *path.parents)]
     found["outside"] += [str(path) for path in strangers if path not in (outer, *outer.parents)]
     shutil.rmtree(case)
-    return {"case": number, "file": target.file, "verb": " ".join(words[:2]), "damage": done, "words": " ".join(words),
+    return {"case": number, "file": target.file, "damage": done, "words": " ".join(words),
             **found}  # fmt: skip
 
 
@@ -273,8 +268,13 @@ def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
         "outside": sum(bool(line["outside"]) for line in lines),
         "longest_seconds": max((line["seconds"] for line in lines), default=0.0),
         "largest_bytes": max((line["peak"] for line in lines), default=0),
-        "by_file": dict(Counter(line["file"] for line in lines)),
+        "by_file_and_verb": dict(sorted(Counter(f"{line['file']}: {_verb(line['words'])}" for line in lines).items())),
     }
+
+
+def _verb(words: str) -> str:
+    """Return `train` or `data check` of the words of a command."""
+    return " ".join(word for word in words.split()[:2] if word.isalpha())
 
 
 def main() -> None:
@@ -316,7 +316,7 @@ def prepare(base: Path) -> None:
     os.environ |= {"TMPDIR": str(base / "tmp"), "MPLCONFIGDIR": str(base / "tmp" / "matplotlib"),
                    "KEYCLD_COMPILE_CACHE": str(base / "tmp" / "compiled")}  # fmt: skip
     if not (base / "original").exists():
-        code = "import sys; from pathlib import Path; from validation.faults.cases import make_originals as m; "
+        code = "import sys; from pathlib import Path; from validation.faults.originals import make_originals as m; "
         code += "m(Path(sys.argv[1]), Path(sys.argv[2]))"
         shutil.rmtree(base / "new", ignore_errors=True)
         subprocess.run([sys.executable, "-c", code, str(base / "new"), str(REPOSITORY)], check=True)

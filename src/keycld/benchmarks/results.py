@@ -40,6 +40,15 @@ class _Scores(TypedDict):
     baselines: dict[str, dict[str, float | dict[str, float | None]]]
 
 
+def _comparable(scores: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the scores under a protocol, if trivial predictors are scored at each of its thresholds."""
+    thresholds = scores["vpt"].keys()
+    for name, baseline in scores["baselines"].items():
+        if missing := thresholds - baseline.keys():
+            raise Unexpected(f"'{where}.baselines.{name}.{min(missing)}' is missing")
+    return scores
+
+
 class _Curve(TypedDict):
     frame: list[int]
     mean: list[float]
@@ -86,7 +95,7 @@ class Result(TypedDict):
     machine: _Machine
     training: _Cost
     seconds: dict[str, float]
-    scores: dict[str, _Scores]
+    scores: dict[str, Annotated[_Scores, _comparable]]
     curves: dict[str, Annotated[_Curve, _even]]
 
 
