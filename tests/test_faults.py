@@ -166,10 +166,15 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     for settings in ({"terms": 30}, {"terms": [1]}):
         with pytest.raises(KeycldError, match="terms of preset 'fast' does not take"):
             config_for("keycld", "fast", **settings)
-    for settings in ({"constraints": 3}, {"vision": {"constraint": [1.0, 2.0, 3.0]}}, {"shared_constants": 1}):
+    for settings in (
+        {"constraints": 3},
+        {"vision": {"constraint": [1.0, 2.0, 3.0]}},
+        {"sigma": 1e308},
+        {"shared_constants": 1},
+    ):
         with pytest.raises(KeycldError, match="takes a|TOML text"):
             config_for("keycld", "fast", **settings).completed()
-    for settings in ({"sigma": 1e308}, {"sigma": 1e-320}, {"width": 2**31}):
+    for settings in ({"sigma": 1e30}, {"sigma": 1e-320}, {"width": 2**31}):
         with pytest.raises(KeycldError, match=r"is 0 or between 1e-12 and 1e12, a count below 2\^31"):
             config_for("keycld", "fast", **settings)
     with pytest.raises(KeycldError, match="TOML text"):
