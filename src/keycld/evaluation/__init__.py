@@ -22,6 +22,15 @@ from keycld.evaluation.named_protocols import protocol_named as protocol_named
 from keycld.evaluation.named_protocols import protocols_for as protocols_for
 from keycld.evaluation.named_protocols import with_given as with_given
 from keycld.evaluation.observing import observed_states as observed_states
+from keycld.evaluation.physics import Measured as Measured
+from keycld.evaluation.physics import constants_of as constants_of
+from keycld.evaluation.physics import measure_physics as measure_physics
+from keycld.evaluation.physics_file import PHYSICS as PHYSICS
+from keycld.evaluation.physics_file import Constant as Constant
+from keycld.evaluation.physics_file import Physics as Physics
+from keycld.evaluation.physics_file import Rejected as Rejected
+from keycld.evaluation.physics_file import load_physics as load_physics
+from keycld.evaluation.physics_file import save_physics as save_physics
 from keycld.evaluation.predicting import Predicted as Predicted
 from keycld.evaluation.predicting import predict as predict
 from keycld.evaluation.predicting import predict_batch as predict_batch
@@ -45,19 +54,25 @@ from keycld.evaluation.summary import threshold_text as threshold_text
 from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
 
 __all__ = [
-    "Evaluation",
+    "Constant",
     "DM_THRESHOLD",
+    "Evaluation",
     "METRICS",
+    "Measured",
     "PAPER_VPT",
+    "PHYSICS",
     "PROTOCOLS",
+    "Physics",
     "PixelMoments",
     "Predicted",
     "Probe",
     "Protocol",
     "References",
+    "Rejected",
     "TABLE_UNITS",
     "as_json",
     "baseline_predictions",
+    "constants_of",
     "constraint_drift",
     "difference",
     "energy_drift",
@@ -69,8 +84,10 @@ __all__ = [
     "headline_vpt",
     "invert_landmarks",
     "load_evaluation",
+    "load_physics",
     "make_protocol",
     "mean_image",
+    "measure_physics",
     "observed_states",
     "predict",
     "predict_batch",
@@ -81,6 +98,7 @@ __all__ = [
     "references",
     "relative_errors",
     "save_evaluation",
+    "save_physics",
     "setting_text",
     "statistics",
     "summary",

@@ -4,6 +4,8 @@ from keycld.mechanics.adaptive import AdaptiveDynamics as AdaptiveDynamics
 from keycld.mechanics.adaptive import DormandPrince as DormandPrince
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
 from keycld.mechanics.circle import nearest_circle as nearest_circle
+from keycld.mechanics.constants import Scale as Scale
+from keycld.mechanics.constants import physical_constants as physical_constants
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
 from keycld.mechanics.constraints import Constraints as Constraints
 from keycld.mechanics.constraints import FunctionConstraint as FunctionConstraint
@@ -19,6 +21,12 @@ from keycld.mechanics.dense import truncated_normal as truncated_normal
 from keycld.mechanics.dynamics import AbstractMechanicalDynamics as AbstractMechanicalDynamics
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
+from keycld.mechanics.estimate import Derived as Derived
+from keycld.mechanics.estimate import Estimate as Estimate
+from keycld.mechanics.estimate import derive as derive
+from keycld.mechanics.estimate import estimate as estimate
+from keycld.mechanics.fan import Fan as Fan
+from keycld.mechanics.fan import predict_fan as predict_fan
 from keycld.mechanics.fitting import Fitted as Fitted
 from keycld.mechanics.fitting import fit_motions as fit_motions
 from keycld.mechanics.fitting import rough_states as rough_states
@@ -72,6 +80,8 @@ from keycld.mechanics.relation import register_relation as register_relation
 from keycld.mechanics.relations.distance_to_point import DistanceToPoint as DistanceToPoint
 from keycld.mechanics.relations.fixed_distance import FixedDistance as FixedDistance
 from keycld.mechanics.relations.on_line import OnLine as OnLine
+from keycld.mechanics.rest_pose import RestPose as RestPose
+from keycld.mechanics.rest_pose import rest_pose as rest_pose
 from keycld.mechanics.rigid_body import PointPair as PointPair
 from keycld.mechanics.rigid_body import RigidBody as RigidBody
 from keycld.mechanics.rigid_body import rigid_body as rigid_body
@@ -88,7 +98,6 @@ from keycld.mechanics.state import State as State
 from keycld.mechanics.symplectic import Composition as Composition
 
 __all__ = [
-    "DormandPrince",
     "AbstractConstraint",
     "AbstractDisplacement",
     "AbstractDissipationTerm",
@@ -109,8 +118,12 @@ __all__ = [
     "ConstrainedLagrangian",
     "Constraints",
     "CoupledMasses",
+    "Derived",
     "DistanceToPoint",
+    "DormandPrince",
+    "Estimate",
     "Euler",
+    "Fan",
     "FirstOrderDynamics",
     "Fitted",
     "FixedDistance",
@@ -135,9 +148,11 @@ __all__ = [
     "RK2",
     "RK4",
     "Rattle",
+    "RestPose",
     "RigidBody",
     "RungeKutta",
     "Scalar",
+    "Scale",
     "SecondOrderNetwork",
     "SeparableHamiltonian",
     "Shake",
@@ -150,7 +165,9 @@ __all__ = [
     "ViscousFriction",
     "adaptive_rollout",
     "as_constraint",
+    "derive",
     "dump_constraints",
+    "estimate",
     "fit_motions",
     "integrator_named",
     "joining_velocity",
@@ -159,10 +176,13 @@ __all__ = [
     "momentum",
     "nearest_circle",
     "parse_constraints",
+    "physical_constants",
+    "predict_fan",
     "pulled_back",
     "register_relation",
     "register_term",
     "regress_forces",
+    "rest_pose",
     "rigid_body",
     "rough_states",
     "solve_definite",

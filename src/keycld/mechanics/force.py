@@ -63,7 +63,13 @@ class AbstractPotentialTerm(AbstractTerm):
 
 
 class AbstractDissipationTerm(AbstractTerm):
-    """A term of R, Rayleigh's dissipation function and its generalisations."""
+    """A term of R, Rayleigh's dissipation function and its generalisations.
+
+    Attributes:
+        viscous: whether its force is in proportion to the velocities, so that it has a rate in 1/s.
+    """
+
+    viscous: ClassVar[bool] = False
 
     @abc.abstractmethod
     def __call__(self, x: Float[Array, "dim"], v: Float[Array, "dim"]) -> Float[Array, ""]:

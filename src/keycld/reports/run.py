@@ -8,7 +8,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld._records import read_json, read_lines
-from keycld.evaluation import Evaluation, load_evaluation
+from keycld.evaluation import PHYSICS, Evaluation, load_evaluation
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def read_run(folder: str | Path) -> Run:
     folder = Path(folder)
     if not (folder / "config.json").exists():
         raise KeycldError(f"'{folder}' is not a run folder: it has no config.json; train one with `keycld train`.")
-    names = sorted(path.stem for path in (folder / "evaluation").glob("*.json"))
+    names = sorted({path.stem for path in (folder / "evaluation").glob("*.json")} - {PHYSICS})
     results = {name: load_evaluation(folder, name) for name in names}
     scored = {name: result for name, result in results.items() if "protocol" in result.scores}
     sweeps = results["sweeps"].arrays if "sweeps" in results else None

@@ -29,6 +29,7 @@ class JointFriction(AbstractDissipationTerm):
     kind = "joints"
     meaning = "viscous friction of hinges"
     rank = 2
+    viscous = True
 
     strength: Float[Array, "hinges"]
     signs: tuple[tuple[float, ...], ...] = eqx.field(static=True)

@@ -20,6 +20,7 @@ class ViscousFriction(AbstractDissipationTerm):
     kind = "viscous"
     meaning = "viscous friction of keypoints"
     rank = 1
+    viscous = True
 
     coefficients: Float[Array, "K K"]
 

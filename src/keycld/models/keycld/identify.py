@@ -26,7 +26,7 @@ from keycld.mechanics import (
 )
 
 # A term stays if without it the cost of the fit would rise by this share.
-_WORTH = 0.2
+WORTH = 0.2
 # Share by which masses may follow when a term is dropped, for that same cost.
 _FOLLOW = 0.2
 _LAST_RESORT = "perceptron"
@@ -106,10 +106,10 @@ def identify(
     if kept:
         near = _fitted(left, tracks[some], everything.initial)
         selected = _climb(near.dynamics, tracks)
-        if selected.rms > (1 + _WORTH) * everything.rms:
+        if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
             selected = min(selected, again, key=lambda fitted: float(fitted.cost))
-        if selected.cost < best.cost / (1 + _WORTH):
+        if selected.cost < best.cost / (1 + WORTH):
             best = selected
     if best.rms > _GOOD * pixel:
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
@@ -123,7 +123,7 @@ def identify(
 def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
     """Fit an affine V with terms of these kinds, from nothing."""
     law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
-    return _climb(_with_law(dynamics, regress_forces(law, _free(law), tracks.x, tracks.u, tracks.dt)), tracks)
+    return _climb(_with_law(dynamics, regress_forces(law, free_leaves(law), tracks.x, tracks.u, tracks.dt)), tracks)
 
 
 def _with_everything(affine: Fitted, tracks: Tracks, some: slice, *, good: float) -> Fitted:
@@ -160,6 +160,25 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, prune: bool = False) 
     return _fitted(left, tracks, fitted.initial)
 
 
+def follow(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
+    """Fit given dynamics to growing parts of keypoint tracks, from the initial states that the first frames show."""
+    return _climb(dynamics, tracks)
+
+
+def evidence(dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float) -> dict[str, float]:
+    """Return the worth of each kind of force that is tried: by which share the cost rises without it, as in `identify`.
+
+    Args:
+        dynamics: identified ones; their masses and pivots are where the fit begins.
+        tracks: of all recordings.
+        pixel: size of a pixel, image-plane units.
+    """
+    some = slice(None, None, max(1, len(tracks.x) // _FEW))
+    alone = _identified(dynamics, (), tracks)
+    everything = _with_everything(alone, tracks, some, good=_GOOD * pixel)
+    return _selected(everything, tracks.dt)[1] if np.all(np.isfinite(everything.curvature)) else {}
+
+
 def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
     """Fit the motions of given dynamics to keypoints; nothing but their initial states is free."""
     still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
@@ -178,7 +197,7 @@ def _fitted(
         active = jax.tree.map(lambda leaf: jnp.ones_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
     return _fit(
         dynamics,
-        _free(dynamics),
+        free_leaves(dynamics),
         tracks.x,
         tracks.u,
         tracks.dt,
@@ -214,7 +233,7 @@ def _affine(law: ConstrainedLagrangian) -> ConstrainedLagrangian:
     )
 
 
-def _free(dynamics: Any) -> Any:
+def free_leaves(dynamics: Any) -> Any:
     """Return which leaves are fitted: all but the perceptron of g, which has thousands of weights and little to say."""
 
     def free(path: Any, leaf: Any) -> bool:
@@ -229,7 +248,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
     Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
     worth nothing: next to each other, two of them may have opposite signs.
     """
-    parameters, rest = eqx.partition(fitted.dynamics, _free(fitted.dynamics))
+    parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(_lagrangian(fitted.dynamics))
     for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
@@ -245,7 +264,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
     # keypoints alone, such as attraction, this is true of their relative motion for each total mass.
     heavy = np.array(masses)
     step = _FOLLOW * np.sqrt(np.mean(flat[heavy] ** 2))
-    curvature = curvature + np.diag(np.where(heavy, 2 * _WORTH * float(fitted.cost) / step**2, 0.0))
+    curvature = curvature + np.diag(np.where(heavy, 2 * WORTH * float(fitted.cost) / step**2, 0.0))
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
     curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
     _, unravel = ravel_pytree(parameters)
@@ -263,7 +282,7 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
             alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
             gives = float(_power(_lagrangian(dynamics(alone)), kind, fitted.paths, dt)) <= 0
         worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
-        if worth[kind] < _WORTH:
+        if worth[kind] < WORTH:
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)

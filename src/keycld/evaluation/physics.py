@@ -1,0 +1,145 @@
+"""The physical constants of a trained model, measured on observed keypoint tracks, with error bars."""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from keycld.evaluation.physics_file import Constant, Physics, Rejected
+from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Derived,
+    Estimate,
+    MechanicalDynamics,
+    Scale,
+    derive,
+    estimate,
+    physical_constants,
+    rest_pose,
+    terms_of,
+)
+from keycld.models.keycld.identify import WORTH, Tracks, follow, free_leaves
+
+# A positive constant with a larger relative error is not determined: its linear error bar means nothing.
+_VAGUE = 0.5
+# So many observed poses are compared to find where the mechanism rests.
+_POSES = 200
+_SIGNED = ("pivot", "line_direction", "gravity_direction", "viscous_rate", "damping_ratio")
+_UNITS = {
+    "pivot": "units",
+    "length": "units",
+    "mass_ratio": "1",
+    "period": "s",
+    "viscous_rate": "1/s",
+    "damping_ratio": "1",
+    "line_direction": "degrees",
+    "gravity_direction": "degrees",
+    "gravity_m": "m/s²",
+    "gravity": "units/s²",
+}
+_NOTES = {
+    "mass_ratio": "of the masses that resist at the keypoints: a link's own mass is shared out to its ends",
+    "gravity_direction": "of the pull, counter-clockwise from the x axis: -90 is straight down",
+    "gravity": "if the mass of the last part is on the line between its keypoints; for a single part, at its keypoint",
+}
+_ABSOLUTE = "one video shows ratios of masses and forces alone: M, V, friction and input share an unknown factor"
+
+
+class Measured(NamedTuple):
+    """The result of `measure_physics`.
+
+    Attributes:
+        physics: what `save_physics` stores.
+        estimate: parameters and covariance, for `predict_fan`.
+    """
+
+    physics: Physics
+    estimate: Estimate
+
+
+def measure_physics(
+    dynamics: MechanicalDynamics,
+    x: Float[Array | np.ndarray, "N T dim"],
+    u: Float[Array | np.ndarray, "N *T l"],
+    dt: float,
+    *,
+    mechanism: str | None = None,
+    scale: Scale | None = None,
+    worth: Mapping[str, float] | None = None,
+) -> Measured:
+    """Measure the physical constants of a mechanism from tracks of its keypoints.
+
+    The law of a trained model is fitted once more, with exact derivatives, and the covariance of its parameters is
+    carried to each constant (`estimate`, `derive`).
+
+    Args:
+        dynamics: those of a trained model, `model.dynamics`; they are near the solution.
+        x: observed keypoints of the recordings that the constants are measured on, image-plane units.
+        u: inputs, `[N, 0]` without any.
+        dt: seconds between frames, in the time of the camera.
+        mechanism: its name.
+        scale: a known length or g, for constants in metres.
+        worth: of each kind of force that was tried (`keycld.models.keycld.identify.evidence`).
+
+    Raises:
+        KeycldError: the scale does not fit the mechanism, or the motion does not determine its parameters at all.
+    """
+    law = dynamics.law
+    assert isinstance(law, ConstrainedLagrangian)
+    seen = jnp.asarray(x, jnp.float32)
+    shared = jnp.mean(jax.vmap(law.constraint)(seen.reshape(-1, seen.shape[-1])), axis=0)
+    near = follow(dynamics, Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared))
+    found = estimate(near.dynamics, free_leaves(near.dynamics), x, u, dt, initial=near.initial)
+    acting, tried = terms_of(law), worth or {}
+    physics = Physics(
+        mechanism=mechanism,
+        fps=1 / float(dt),
+        constants=constants_of(found, scale),
+        rejected={kind: Rejected(worth=tried[kind], needed=WORTH) for kind in tried if kind not in acting},
+        prediction={},
+    )
+    return Measured(physics, found)
+
+
+def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Constant]:
+    """Return the physical constants of an estimate with their error bars."""
+    poses = found.paths.reshape(-1, found.paths.shape[-1])[:: max(1, found.paths[..., 0].size // _POSES)]
+    with jax.enable_x64(True):
+        law, values = found.unknowns.law(jnp.asarray(found.eta))
+        pose = rest_pose(law, values, poses)
+    derived = derive(found, lambda eta: physical_constants(*found.unknowns.law(eta), pose, scale))
+    constants = {name: _constant(name, number) for name, number in derived.items()}
+    if "viscous_rate" not in constants:
+        constants["viscous_rate"] = Constant(
+            value=0.0, sigma=None, unit="1/s", identifiable=True, note="no viscous friction acts; see rejected"
+        )
+    if pose is None:
+        constants["period_1"] = _unknown("s", "the mechanism has no stable rest pose")
+    constants["mass"] = _unknown("kg", _ABSOLUTE)
+    return constants
+
+
+def _constant(name: str, number: Derived) -> Constant:
+    unit = _unit(name)
+    if not number.determined:
+        return _unknown(unit, "the recordings do not determine it: other parameters can change with it")
+    if not name.startswith(_SIGNED) and number.sigma > _VAGUE * abs(number.value):
+        return _unknown(unit, f"its standard error is {number.sigma / abs(number.value):.0%} of it")
+    found = Constant(value=number.value, sigma=number.sigma, unit=unit, identifiable=True)
+    note = next((note for prefix, note in _NOTES.items() if name.startswith(prefix)), None)
+    if note is not None:
+        found["note"] = note
+    return found
+
+
+def _unknown(unit: str, note: str) -> Constant:
+    return Constant(value=None, sigma=None, unit=unit, identifiable=False, note=note)
+
+
+def _unit(name: str) -> str:
+    if name == "metres_per_unit" or (name.endswith("_m") and name.startswith("length_")):
+        return "m"
+    return next(unit for prefix, unit in _UNITS.items() if name.startswith(prefix))

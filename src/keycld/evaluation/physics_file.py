@@ -1,0 +1,83 @@
+"""`evaluation/physics.json`: physical constants of a run with error bars, what was rejected, a prediction."""
+
+from pathlib import Path
+from typing import Any, NotRequired, TypedDict
+
+from keycld._errors import KeycldError
+from keycld._files import make_folder, write_text
+from keycld._records import read_json
+from keycld.evaluation.storage import as_json
+
+PHYSICS = "physics"
+"""Name of the result: `evaluation/physics.json`."""
+
+
+class Constant(TypedDict):
+    """One physical constant.
+
+    Attributes:
+        value: in `unit`; null where the recordings do not determine it.
+        sigma: its standard error; null where the value is null, or exact.
+        unit: such as "units", "s" or "1/s"; "units" are those of the image plane.
+        identifiable: whether the recordings determine the value.
+        note: one sentence on what the number rests on, or why there is none.
+    """
+
+    value: float | None
+    sigma: float | None
+    unit: str
+    identifiable: bool
+    note: NotRequired[str]
+
+
+class Rejected(TypedDict):
+    """Evidence against a force that was tried and dropped.
+
+    Attributes:
+        worth: share by which the cost of the fit rises without it.
+        needed: the least share that a force must be worth.
+    """
+
+    worth: float
+    needed: float
+
+
+class Physics(TypedDict):
+    """The contents of `physics.json`.
+
+    Attributes:
+        mechanism: its name, or null where the constraints have none.
+        fps: frames a second; all times are at this rate.
+        constants: by name; the names are stable (docs/physics.md).
+        rejected: forces that were tried and dropped, by kind.
+        prediction: scores of a prediction that was not part of the fit, {} without one.
+    """
+
+    mechanism: str | None
+    fps: float
+    constants: dict[str, Constant]
+    rejected: dict[str, Rejected]
+    prediction: dict[str, Any]
+
+
+def save_physics(folder: str | Path, physics: Physics) -> Path:
+    """Write `evaluation/physics.json` of a run folder and return its path."""
+    path = Path(folder) / "evaluation" / f"{PHYSICS}.json"
+    make_folder(path.parent)
+    write_text(path, as_json(dict(physics)) + "\n")
+    return path
+
+
+def load_physics(folder: str | Path) -> Physics:
+    """Read what `save_physics` wrote.
+
+    Raises:
+        KeycldError: it is missing or damaged.
+    """
+    path = Path(folder) / "evaluation" / f"{PHYSICS}.json"
+    try:
+        return read_json(path, Physics, "measure the physics again")
+    except FileNotFoundError as error:
+        raise KeycldError(
+            f"no physical constants in '{folder}': run `keycld watch` or `keycld identify` first."
+        ) from error

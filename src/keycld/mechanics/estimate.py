@@ -1,0 +1,261 @@
+"""Parameters of a law from observed tracks with their covariance: the last digits of a fit, and its error bars."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from keycld._errors import KeycldError
+from keycld.mechanics.dynamics import MechanicalDynamics
+from keycld.mechanics.lagrangian import ConstrainedLagrangian
+from keycld.mechanics.residuals import autocovariance, lagged_products, robust_scale
+from keycld.mechanics.sensitivity import Sensitivity, Unknowns, paths, sensitivity
+from keycld.mechanics.state import Motion, Scalar
+
+# Errors above so many standard deviations count linearly.
+_OUTLIER = 5.0
+# A direction is flat if its curvature, with unit curvature along each parameter, is below this.
+_FLAT = 1e-11
+# Share of a gradient along flat directions with which a constant is not determined.
+_LEAK = 1e-4
+# The fit ends when a step would gain less than this, in units of the noise's variance, for each unknown.
+_DONE, _STEPS = 1e-5, 40
+_DAMPINGS = (0.0, 1e-4, 1e-2, 1e0, 1e2)
+
+
+class Estimate(NamedTuple):
+    """The result of `estimate`, in float64.
+
+    Attributes:
+        unknowns: what η = (θ, c) means.
+        eta: estimate of η `[P]`.
+        covariance: of η `[P, P]`, without flat directions.
+        flat: orthonormal columns `[P, F]`: directions of η/`scale` that the tracks do not determine, such as the common
+            factor of M, V, R and g.
+        scale: `[P]`.
+        noise: standard deviation of the observed coordinates of each keypoint, image-plane units `[K]`.
+        inefficiency: of each keypoint `[K]`: so many frames are worth one with an independent error.
+        initial: initial states `[N, dim]` each.
+        paths: fitted positions `[N, T, dim]`.
+        dt: seconds between frames.
+    """
+
+    unknowns: Unknowns
+    eta: np.ndarray
+    covariance: np.ndarray
+    flat: np.ndarray
+    scale: np.ndarray
+    noise: np.ndarray
+    inefficiency: np.ndarray
+    initial: Motion
+    paths: np.ndarray
+    dt: float
+
+
+class Derived(NamedTuple):
+    """A number computed from η.
+
+    Attributes:
+        value: f(η).
+        sigma: its standard error √(∇fᵀ Σ ∇f).
+        determined: whether f stays the same along flat directions.
+    """
+
+    value: float
+    sigma: float
+    determined: bool
+
+
+def estimate(
+    dynamics: MechanicalDynamics,
+    free: PyTree,
+    observed: Float[Array | np.ndarray, "N T dim"],
+    u: Float[Array | np.ndarray, "N *T l"],
+    dt: Scalar,
+    *,
+    initial: Motion,
+) -> Estimate:
+    """Fit the parameters of a law and all initial states to tracks, and compute the covariance of the parameters.
+
+        min over zᵢ, η of Σᵢₜₖ ρ((x̂ᵢₜₖ − xₖ(t; zᵢ, η)) / σₖ),    ρ(e) = 25 (√(1 + e²/25) − 1)
+
+    by Gauss–Newton steps in float64, from a solution of `fit_motions`. Motions are integrated so finely that the error
+    does not matter, all derivatives are exact, and the constants c of Φ, such as squared lengths, are unknowns like
+    all others. Initial states vary along the constraints, and are eliminated: G = dx/dη with the best zᵢ for each η.
+    With S = Gᵀ W G,
+
+        cov η = S⁻¹ (Σₖ Gₖᵀ Cₖ Gₖ) S⁻¹ n/(n − p)
+
+    where Cₖ is the autocovariance over time of the weighted errors of coordinate k (`autocovariance`). With independent
+    errors it is the textbook's σ² S⁻¹. Errors of real keypoints last for several frames; then the covariance is larger,
+    by as much as the errors resemble the effect of a parameter.
+
+    Directions of η without curvature get no step and no covariance; the result names them.
+
+    Args:
+        dynamics: near the solution.
+        free: a pytree of bools of the dynamics' shape: which leaves are θ.
+        observed: observed positions at consecutive frames, image-plane units.
+        u: inputs, constant or held per frame.
+        dt: seconds between frames.
+        initial: initial states near the solution, `[N, dim]` each.
+
+    Raises:
+        KeycldError: for another kind of law, fewer observations than unknowns, or motions that diverge.
+    """
+    if not isinstance(dynamics.law, ConstrainedLagrangian):
+        raise KeycldError(f"error bars need a ConstrainedLagrangian, not a {type(dynamics.law).__name__}.")
+    with jax.enable_x64(True):
+        tracks, inputs, step = np.asarray(observed, float), jnp.asarray(np.asarray(u, float)), float(dt)
+        unknowns, eta = Unknowns.of(dynamics, free, tracks)
+        start = Motion(*(jnp.asarray(np.asarray(part, float)) for part in initial))
+        eta, near, sigma = _minimum(unknowns, eta, start, tracks, inputs, step)
+        return _with_covariance(unknowns, eta, near, tracks, sigma, step)
+
+
+def derive(found: Estimate, function: Callable[[Float[Array, "P"]], dict[str, Array]]) -> dict[str, Derived]:
+    """Return numbers that depend on η with their standard errors, by the delta method.
+
+    Args:
+        found: the estimate.
+        function: η → numbers by name, differentiable.
+    """
+    with jax.enable_x64(True):
+        eta = jnp.asarray(found.eta)
+        values, slopes = jax.jit(function)(eta), jax.jit(jax.jacfwd(function))(eta)
+    return {name: _derived(found, float(values[name]), np.asarray(slopes[name])) for name in values}
+
+
+def _derived(found: Estimate, value: float, slope: np.ndarray) -> Derived:
+    if not (math.isfinite(value) and np.all(np.isfinite(slope))):
+        return Derived(value, math.nan, False)
+    scaled = slope * found.scale
+    leak = np.linalg.norm(found.flat.T @ scaled)
+    sigma = math.sqrt(max(0.0, float(slope @ found.covariance @ slope)))
+    return Derived(value, sigma, bool(leak <= _LEAK * np.linalg.norm(scaled)))
+
+
+def _minimum(
+    unknowns: Unknowns, eta: np.ndarray, start: Motion, tracks: np.ndarray, u: Array, dt: float
+) -> tuple[np.ndarray, Sensitivity, np.ndarray]:
+    """Return the best η, the motions there, and the scale of the errors."""
+    sigma = None
+    near = sensitivity(unknowns, eta, start, u, dt, tracks.shape[1])
+    for _ in range(_STEPS):
+        error = tracks - near.x
+        if not np.all(np.isfinite(near.slopes)):
+            raise KeycldError("the fitted motions diverge, so that nothing can be said of the parameters of their law.")
+        measured = robust_scale(error)
+        # It follows the errors as they become smaller, and then stays: a cost that changes has no minimum.
+        sigma = measured if sigma is None or np.any(measured < 0.9 * sigma) else sigma
+        normal = NormalEquations(near.slopes / sigma[:, None], error / sigma, _weight(error / sigma), near.local)
+        if normal.gain() < _DONE * (len(eta) + near.initial.x.shape[0] * near.local):
+            break
+        for damping in _DAMPINGS:
+            moves, change = normal.step(damping)
+            moved = near.moved(moves)
+            x = paths(unknowns, jnp.asarray(eta + change), moved, u, jnp.asarray(dt), tracks.shape[1])
+            if _cost((tracks - np.asarray(x)) / sigma) < _cost(error / sigma):
+                eta, near = eta + change, sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
+                break
+        else:
+            break
+    assert sigma is not None
+    return eta, near, sigma
+
+
+def _with_covariance(
+    unknowns: Unknowns, eta: np.ndarray, near: Sensitivity, tracks: np.ndarray, sigma: np.ndarray, dt: float
+) -> Estimate:
+    error = (tracks - near.x) / sigma
+    # The second derivative of ρ, not the weight of the steps, is the curvature of the cost.
+    normal = NormalEquations(near.slopes / sigma[:, None], error, _weight(error) ** 3, near.local)
+    inverse, flat, scale = normal.inverse()
+    used = len(eta) - flat.shape[1] + len(tracks) * near.local
+    left = tracks.size - used
+    if left <= 0:
+        raise KeycldError(f"{tracks.size} observed numbers do not determine {used} unknowns: use more frames.")
+    scores = _weight(error) * error
+    middle, inefficiency = np.zeros((len(eta), len(eta))), []
+    for d in range(tracks.shape[-1]):
+        covariance = autocovariance(scores[:, :, d])
+        middle = middle + lagged_products(normal.effect[:, :, d], covariance)
+        inefficiency.append((2 * covariance.sum() - covariance[0]) / max(covariance[0], 1e-300))
+    share = tracks.size / left
+    return Estimate(
+        unknowns=unknowns,
+        eta=eta,
+        covariance=inverse @ middle @ inverse * share,
+        flat=flat,
+        scale=scale,
+        noise=robust_scale(tracks - near.x)[::2] * math.sqrt(share),
+        inefficiency=np.maximum(1.0, np.array(inefficiency).reshape(-1, 2).mean(axis=1)),
+        initial=near.initial,
+        paths=near.x,
+        dt=dt,
+    )
+
+
+def _weight(error: np.ndarray) -> np.ndarray:
+    """Return ρ'(e)/e = 1/√(1 + e²/25)."""
+    return 1 / np.sqrt(1 + (error / _OUTLIER) ** 2)
+
+
+def _cost(error: np.ndarray) -> float:
+    total = float(np.sum(_OUTLIER**2 * (1 / _weight(error) - 1)))
+    return total if math.isfinite(total) else math.inf
+
+
+class NormalEquations:
+    """Weighted least squares for (zᵢ, η), the initial states zᵢ eliminated recording by recording.
+
+    Attributes:
+        inner: Jᵀ W J of the initial states `[N, m2, m2]`.
+        alone: the change of the initial states while η stays `[N, m2]`.
+        follow: (Jᵀ W J)⁻¹ Jᵀ W ∂x/∂η: the best initial states change by minus this `[N, m2, P]`.
+        effect: G = dx/dη with the best initial states for each η `[N, T, dim, P]`.
+    """
+
+    def __init__(self, slopes: np.ndarray, error: np.ndarray, weight: np.ndarray, local: int):
+        """Eliminate the initial states.
+
+        Args:
+            slopes: ∂x/∂(z, η) `[N, T, dim, local + P]`.
+            error: observed minus x `[N, T, dim]`, both in units of σ.
+            weight: of each error.
+            local: numbers of each zᵢ.
+        """
+        by_start, by_eta = slopes[..., :local], slopes[..., local:]
+        pull = by_start * weight[..., None]
+        self.inner = np.einsum("ntdi,ntdj->nij", pull, by_start)
+        self.follow = np.linalg.solve(self.inner, np.einsum("ntdi,ntdj->nij", pull, by_eta))
+        self._pull = np.einsum("ntdi,ntd->ni", pull, error)
+        self.alone = np.linalg.solve(self.inner, self._pull[..., None])[..., 0]
+        self.effect = by_eta - np.einsum("ntdi,nij->ntdj", by_start, self.follow)
+        weighted = self.effect * weight[..., None]
+        self._matrix = np.einsum("ntdi,ntdj->ij", weighted, self.effect)
+        self._slope = np.einsum("ntdi,ntd->i", weighted, error)
+
+    def inverse(self, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (Gᵀ W G)⁻¹ without flat directions, these as columns, and the scale of the parameters."""
+        diagonal = np.diag(self._matrix)
+        dead = diagonal <= 1e-24 * max(float(diagonal.max(initial=0.0)), 1e-300)
+        scale = 1 / np.sqrt(np.where(dead, 1.0, diagonal))
+        scaled = np.where(dead[:, None] | dead[None, :], 0.0, self._matrix) * scale[:, None] * scale[None, :]
+        values, vectors = np.linalg.eigh(scaled)
+        sound = values > _FLAT
+        inner = vectors[:, sound] / (values[sound] + damping) @ vectors[:, sound].T
+        return inner * scale[:, None] * scale[None, :], vectors[:, ~sound], scale
+
+    def step(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        """Return the change of the initial states `[N, m2]` and of η."""
+        change = self.inverse(damping)[0] @ self._slope
+        return (self.alone - np.einsum("nij,j->ni", self.follow, change)) / (1 + damping), change
+
+    def gain(self) -> float:
+        """Return twice what a step without damping would gain of the cost."""
+        return float(self._slope @ self.inverse()[0] @ self._slope + np.sum(self._pull * self.alone))

@@ -1,0 +1,107 @@
+"""Constants of a mechanism with error bars, from its tracks to `physics.json`."""
+
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld._errors import KeycldError
+from keycld.evaluation import load_physics, measure_physics, save_physics
+from keycld.mechanics import (
+    RK4,
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    MechanicalDynamics,
+    Motion,
+    PointMasses,
+    Rattle,
+    Scale,
+    State,
+    SumDissipation,
+    SumPotential,
+    ViscousFriction,
+)
+
+DT, FRAMES, NOISE, LENGTH = 1 / 30, 90, 0.003, 0.6
+
+
+def pendulum(gravity, friction, integrator):
+    constraints = Constraints(("ball",), (DistanceToPoint("ball", "unknown"),))
+    viscous = SumDissipation({"viscous": ViscousFriction(jnp.array([[friction]]))})
+    law = ConstrainedLagrangian(
+        PointMasses.ones(1), SumPotential(jnp.array([0.0, gravity]), {}), None, constraints, viscous
+    )
+    return MechanicalDynamics(law, integrator)
+
+
+@pytest.fixture(scope="module")
+def measured():
+    """Three recordings of a pendulum around the image centre, after a rough fit."""
+    angles = np.array([[0.8], [1.3], [-1.0]])
+    first = jnp.asarray(LENGTH * np.concatenate([np.sin(angles), -np.cos(angles)], axis=1), jnp.float32)
+    true = pendulum(9.0, 0.2, RK4(8))
+    roll = jax.vmap(lambda x: true.rollout(State(Motion(x, jnp.zeros(2)), {}), jnp.zeros(0), DT, FRAMES - 1).x)
+    tracks = np.asarray(roll(first))
+    tracks = tracks + NOISE * np.random.default_rng(0).standard_normal(tracks.shape)
+    guess = pendulum(8.5, 0.25, Rattle(2))
+    return measure_physics(
+        guess,
+        tracks,
+        np.zeros((3, 0)),
+        DT,
+        mechanism="pendulum",
+        scale=Scale(("pivot", "ball"), 0.3),
+        worth={"drag": 0.01, "viscous": 5.0},
+    )
+
+
+def test_constants_are_true_within_their_error_bars(measured):
+    constants = measured.physics["constants"]
+    truth = {
+        "pivot_x": 0.0,
+        "pivot_y": 0.0,
+        "length_pivot_ball": LENGTH,
+        "period_1": 2 * np.pi / np.sqrt(9.0 / LENGTH),
+        "viscous_rate": 0.2,
+        "gravity_direction": -90.0,
+        "gravity_m": 4.5,
+        "length_pivot_ball_m": 0.3,
+        "metres_per_unit": 0.5,
+    }
+    for name, value in truth.items():
+        found = constants[name]
+        assert found["identifiable"], name
+        assert abs(found["value"] - value) <= 3.5 * found["sigma"] + 1e-9, name
+    assert constants["period_1"]["sigma"] < 0.01 * truth["period_1"]
+    # A length that is given as exact has no error in metres.
+    assert constants["length_pivot_ball_m"]["sigma"] < 1e-9
+
+
+def test_what_one_video_cannot_tell_is_no_number(measured):
+    mass = measured.physics["constants"]["mass"]
+    assert mass["value"] is None and mass["sigma"] is None and not mass["identifiable"]
+
+
+def test_a_rejected_force_is_stored_with_its_evidence(measured):
+    assert measured.physics["rejected"] == {"drag": {"worth": 0.01, "needed": 0.2}}
+    assert measured.physics["fps"] == pytest.approx(30)
+
+
+def test_physics_come_back_from_the_run_folder(measured, tmp_path):
+    path = save_physics(tmp_path, measured.physics)
+    assert path == tmp_path / "evaluation" / "physics.json"
+    assert load_physics(tmp_path) == measured.physics
+
+
+def test_missing_or_damaged_physics_say_so(measured, tmp_path):
+    with pytest.raises(KeycldError, match="no physical constants"):
+        load_physics(tmp_path)
+    path = save_physics(tmp_path, measured.physics)
+    stored = json.loads(path.read_text())
+    stored["constants"]["period_1"]["value"] = "long"
+    path.write_text(json.dumps(stored))
+    with pytest.raises(KeycldError, match=r"constants.period_1.value"):
+        load_physics(tmp_path)

@@ -1,0 +1,114 @@
+"""Physical constants of mechanisms whose small oscillations are known."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_examples import on_circle
+
+from keycld._errors import KeycldError
+from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    FixedDistance,
+    OnLine,
+    PointMasses,
+    Scale,
+    Springs,
+    SumDissipation,
+    SumPotential,
+    ViscousFriction,
+    physical_constants,
+    rest_pose,
+)
+
+GRAVITY = 9.81
+
+
+def law(masses, items, names, weight, *, springs=None, friction=None):
+    terms = {} if springs is None else {"springs": Springs(jnp.asarray(springs, float))}
+    viscous = None if friction is None else SumDissipation({"viscous": ViscousFriction(jnp.asarray(friction, float))})
+    potential = SumPotential(jnp.asarray(weight, float), terms)
+    roots = PointMasses(jnp.sqrt(jnp.asarray(masses, float)))
+    return ConstrainedLagrangian(roots, potential, None, Constraints(names, items), viscous)
+
+
+def measured(chosen, observed, scale=None):
+    with jax.enable_x64(True):
+        double = jax.tree.map(lambda a: jnp.asarray(np.asarray(a), float) if eqx.is_array(a) else a, chosen)
+        constants = double.constraint(jnp.asarray(np.asarray(observed), float))
+        pose = rest_pose(double, constants, np.asarray(observed, float)[None])
+        return {k: float(v) for k, v in physical_constants(double, constants, pose, scale).items()}
+
+
+def test_period_of_a_simple_pendulum():
+    """T = 2π √(l/g), γ = c/m, ζ = γ/(2ω): l = 0.7, m = 2, c = 0.3, in gravity tilted by 20°."""
+    down = np.deg2rad(-70)
+    weight = -2.0 * GRAVITY * np.array([np.cos(down), np.sin(down)])
+    chosen = law([2.0], (DistanceToPoint("ball"),), ("ball",), weight, friction=[[0.3]])
+    found = measured(chosen, 0.7 * on_circle([1.0]))
+    rate = np.sqrt(GRAVITY / 0.7)
+    assert found["period_1"] == pytest.approx(2 * np.pi / rate, rel=1e-6)
+    assert found["viscous_rate"] == pytest.approx(0.15, rel=1e-6)
+    assert found["damping_ratio_1"] == pytest.approx(0.15 / (2 * rate), rel=1e-6)
+    assert found["gravity_direction"] == pytest.approx(-70, abs=1e-4)
+    assert found["length_pivot_ball"] == pytest.approx(0.7, rel=1e-6)
+
+
+def test_periods_of_a_double_pendulum():
+    """Equal masses and lengths: ω² = (2 ± √2) g/l. A mass ratio and both lengths follow the keypoints' names."""
+    items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
+    chosen = law([1.0, 1.0], items, ("elbow", "tip"), [0, GRAVITY, 0, GRAVITY])
+    found = measured(chosen, 0.5 * on_circle([0.5, -1.0]))
+    squares = (2 + np.array([-1, 1]) * np.sqrt(2)) * GRAVITY / 0.5
+    np.testing.assert_allclose([found["period_1"], found["period_2"]], 2 * np.pi / np.sqrt(squares), rtol=1e-6)
+    assert found["mass_ratio_elbow_tip"] == pytest.approx(1.0)
+    assert found["length_elbow_tip"] == pytest.approx(0.5)
+    assert found["gravity"] == pytest.approx(GRAVITY)
+
+
+def test_a_free_direction_has_no_period():
+    """A cart without a spring rolls anywhere; its pole swings with ω² = (1 + m/M) g/l."""
+    chosen = law([2.0, 1.0], (OnLine("cart"), FixedDistance("cart", "tip")), ("cart", "tip"), [0, 0, 0, GRAVITY])
+    found = measured(chosen, jnp.array([0.1, 0.0, 0.4, -0.3]))
+    assert found["period_1"] == pytest.approx(2 * np.pi / np.sqrt(1.5 * GRAVITY / np.hypot(0.3, 0.3)), rel=1e-6)
+    assert "period_2" not in found
+
+
+def test_a_spring_cart_has_the_period_of_its_spring():
+    """T = 2π √(m/k), and what looks like gravity may be the rest position of the spring."""
+    chosen = law([1.0], (OnLine("cart"),), ("cart",), [-0.8, 0.0], springs=[[8.0]])
+    found = measured(chosen, jnp.array([0.4, 0.0]))
+    assert found["period_1"] == pytest.approx(2 * np.pi / np.sqrt(8), rel=1e-6)
+    assert "gravity_direction" not in found
+
+
+def test_nothing_depends_on_the_common_factor():
+    items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
+    weight, friction = np.array([0, 2 * GRAVITY, 0, GRAVITY]), np.array([[0.2, 0.0], [0.05, 0.1]])
+    once = law([2.0, 1.0], items, ("elbow", "tip"), weight, friction=friction)
+    thrice = law([6.0, 3.0], items, ("elbow", "tip"), 3 * weight, friction=3 * friction)
+    pose = on_circle([0.3, 0.6])
+    first, second = measured(once, pose), measured(thrice, pose)
+    assert first.keys() == second.keys()
+    for name, value in first.items():
+        assert second[name] == pytest.approx(value, rel=1e-6), name
+
+
+def test_a_length_or_gravity_gives_metres():
+    chosen = law([1.0], (DistanceToPoint("ball"),), ("ball",), [0, 20.0])
+    by_length = measured(chosen, 0.5 * on_circle([0.4]), Scale(("pivot", "ball"), 0.25))
+    assert by_length["metres_per_unit"] == pytest.approx(0.5)
+    assert by_length["gravity_m"] == pytest.approx(10.0)
+    by_gravity = measured(chosen, 0.5 * on_circle([0.4]), Scale(None, 10.0))
+    assert by_gravity["length_pivot_ball_m"] == pytest.approx(0.25)
+    with pytest.raises(KeycldError, match="choose from pivot–ball"):
+        measured(chosen, 0.5 * on_circle([0.4]), Scale(("pivot", "bob"), 0.25))
+
+
+def test_a_mechanism_that_never_rests_has_no_period():
+    """Without gravity and springs."""
+    chosen = law([1.0], (DistanceToPoint("ball"),), ("ball",), [0, 0.0])
+    assert "period_1" not in measured(chosen, on_circle([0.4]))

@@ -1,0 +1,153 @@
+"""Error bars of fitted parameters: where the answer is known in closed form, and where there is none."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_examples import on_circle
+
+from keycld.mechanics import (
+    RK4,
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    MechanicalDynamics,
+    Motion,
+    PointMasses,
+    State,
+    SumDissipation,
+    SumPotential,
+    ViscousFriction,
+    derive,
+    estimate,
+    predict_fan,
+)
+from keycld.mechanics.residuals import autocovariance
+
+NOISE, DT, FRAMES = 0.003, 1 / 30, 150
+GRAVITY, FRICTION, LENGTH, PIVOT = 9.81, 0.1, 0.6, (0.05, 0.4)
+
+
+def falling():
+    return MechanicalDynamics(
+        ConstrainedLagrangian(PointMasses.ones(1), SumPotential(jnp.array([0.0, 1.0]), {})), RK4()
+    )
+
+
+def pendulum(gravity=GRAVITY, friction=FRICTION, pivot=PIVOT):
+    constraint = Constraints(("ball",), (DistanceToPoint("ball", "unknown"),))
+    constraint = eqx.tree_at(lambda c: c.items[0].learned, constraint, jnp.array(pivot))
+    viscous = SumDissipation({"viscous": ViscousFriction(jnp.array([[friction]]))})
+    potential = SumPotential(jnp.array([0.0, gravity]), {})
+    return MechanicalDynamics(ConstrainedLagrangian(PointMasses.ones(1), potential, None, constraint, viscous), RK4(8))
+
+
+def free(dynamics, found=lambda name: True):
+    return jax.tree_util.tree_map_with_path(
+        lambda path, leaf: eqx.is_inexact_array(leaf) and found(jax.tree_util.keystr(path)), dynamics
+    )
+
+
+@pytest.fixture(scope="module")
+def swing():
+    with jax.enable_x64(True):
+        first = jnp.asarray(PIVOT) + LENGTH * jnp.asarray(on_circle([1.2]), float)
+        return np.asarray(pendulum().rollout(State(Motion(first, jnp.zeros(2)), {}), jnp.zeros(0), DT, FRAMES - 1).x)
+
+
+def seen(path, seed=0):
+    return path + NOISE * np.random.default_rng(seed).standard_normal(path.shape)
+
+
+def fitted(observed):
+    guess = pendulum(9.0, 0.2, (0.04, 0.42))
+    still = Motion(observed[None, 0], np.zeros((1, 2)))
+    return estimate(guess, free(guess), observed[None], np.zeros((1, 0)), DT, initial=still)
+
+
+def constants(found):
+    def of(eta):
+        law, values = found.unknowns.law(eta)
+        friction = law.dissipation.terms["viscous"].coefficients[0, 0] / law.masses[0]
+        pivot = law.constraint_function.items[0].learned
+        squared = law.potential.weight[1] / law.masses[0] / jnp.sqrt(values[0])
+        return {"mass": law.masses[0], "length": jnp.sqrt(values[0]), "x": pivot[0], "gamma": friction, "ω²": squared}
+
+    return derive(found, of)
+
+
+def test_covariance_of_a_linear_fit_is_the_textbook_one():
+    """A free fall is linear in x₀, v₀ and w: cov = s² (XᵀX)⁻¹, s² = Σe²/(n − p), p the number of unknowns."""
+    time = DT * np.arange(40)
+    design = np.stack([np.ones(40), time, -(time**2) / 2], axis=1)
+    observed = design @ np.array([[0.1, 0.2], [0.5, 2.0], [0.0, 1.5]])
+    observed = observed + NOISE * np.random.default_rng(1).standard_normal(observed.shape)
+    dynamics = falling()
+    spec = free(dynamics, lambda name: name.endswith("weight"))
+    guess = Motion(observed[None, 0], np.array([[0.4, 2.1]]))
+    found = estimate(dynamics, spec, observed[None], np.zeros((1, 0)), DT, initial=guess)
+    solution, squares, *_ = np.linalg.lstsq(design, observed, rcond=None)
+    # Robust weights change the estimate by little of its error, and the variance by a few per cent.
+    sigma = np.sqrt(squares.sum() / (80 - 6) * np.linalg.inv(design.T @ design)[2, 2])
+    np.testing.assert_allclose(found.eta, solution[2], atol=0.3 * sigma)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), sigma, rtol=0.08)
+    assert found.flat.shape == (2, 0)
+
+
+def test_a_pendulum_is_measured_within_its_error_bars(swing):
+    found = constants(fitted(seen(swing)))
+    truth = {"length": LENGTH, "x": PIVOT[0], "gamma": FRICTION, "ω²": GRAVITY / LENGTH}
+    for name, value in truth.items():
+        assert abs(found[name].value - value) < 3 * found[name].sigma, name
+        assert found[name].sigma < 0.02 * max(abs(value), 0.1), name
+        assert found[name].determined
+
+
+def test_the_common_factor_of_masses_and_forces_is_not_determined(swing):
+    found = fitted(seen(swing))
+    assert found.flat.shape[1] == 1
+    assert not constants(found)["mass"].determined
+
+
+def test_error_bars_agree_with_a_block_bootstrap(swing):
+    """Errors drawn again in blocks from those of the fit, forty times: the spread of ω² and γ is their sigma."""
+    first = fitted(seen(swing))
+    error = seen(swing) - first.paths[0]
+    rng, block, again = np.random.default_rng(0), 5, []
+    for _ in range(40):
+        begin = rng.integers(0, FRAMES - block, FRAMES // block)
+        drawn = np.concatenate([error[b : b + block] for b in begin])
+        again.append({name: each.value for name, each in constants(fitted(first.paths[0] + drawn)).items()})
+    for name in ("ω²", "gamma", "length"):
+        spread = np.std([each[name] for each in again])
+        # Forty draws know a deviation to 11 %.
+        assert constants(first)[name].sigma == pytest.approx(spread, rel=0.4), name
+
+
+def test_errors_that_last_make_error_bars_larger(swing):
+    """AR(1) noise of the same size with ρ = 0.8: slow parameters such as the pivot are known worse."""
+    rng, noise = np.random.default_rng(0), np.zeros((FRAMES, 2))
+    for t in range(1, FRAMES):
+        noise[t] = 0.8 * noise[t - 1] + 0.6 * NOISE * rng.standard_normal(2)
+    white, lasting = fitted(seen(swing)), fitted(swing + noise)
+    assert constants(lasting)["x"].sigma > 1.5 * constants(white)["x"].sigma
+    assert lasting.inefficiency[0] > 3 > 1.5 > white.inefficiency[0]
+
+
+def test_autocovariance_of_independent_errors_is_their_variance():
+    errors = np.random.default_rng(3).standard_normal((1, 4000))
+    np.testing.assert_allclose(autocovariance(errors), [1.0], rtol=0.1)
+
+
+def test_predictions_spread_by_as_much_as_their_error_bars(swing):
+    """Sixty predictions from ten noisy frames each: their errors in units of sigma have a deviation of one."""
+    found = fitted(seen(swing))
+    off = []
+    for seed in range(1, 21):
+        given = seen(swing[:10], seed)
+        guess = Motion(given[0], (given[4] - given[0]) / (4 * DT))
+        fan = predict_fan(found, given, np.zeros(0), 100, initial=guess)
+        off.append((fan.keypoints.reshape(100, 2) - swing[:100]) / fan.sigma.reshape(100, 2))
+    spread = np.sqrt(np.mean(np.square(off)))
+    assert spread == pytest.approx(1.0, abs=0.3)
