@@ -192,6 +192,16 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
         checked(stored, Result)
 
 
+def test_states_that_their_renderer_cannot_render_are_refused(tmp_path):
+    from keycld.data import make_data, open_data
+
+    made = make_data("toy/pendulum", tmp_path / "a", runs={"train": 2, "test": 1, "test_long": 1})
+    with h5py.File(made.folder / "train.h5", "r+") as file:
+        del file["parameters/offset"]
+    with pytest.raises(KeycldError, match="are not those from which their pictures are rendered"):
+        open_data(made.folder).split("train")
+
+
 def test_a_picture_that_claims_too_many_pixels_is_refused(tmp_path):
     from PIL import Image
 

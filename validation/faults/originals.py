@@ -4,9 +4,12 @@ import json
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from keycld.benchmarks import Experiment
 
 # Any pose will do as a goal: the model is hardly trained.
 _EPSILON = 1.0
@@ -169,6 +172,15 @@ def bench(folder: Path, repository: Path) -> None:
     _json(folder / _RESULT, _loaded(repository / _RESULT) | {"config_hash": done.hash()})
     (folder / "bench").mkdir()
     record_failure(failed, Place(folder / "bench", folder / "results"), "training", "KeycldError", "no")
+
+
+def small_experiment() -> "Experiment":
+    """Return an experiment that takes seconds."""
+    from keycld.benchmarks.experiment import DataRecipe, Experiment
+    from keycld.evaluation import protocol_named
+
+    data = DataRecipe("toy/pendulum", "priors", runs=(("train", 6), ("test", 2), ("test_long", 2)))
+    return Experiment("small", data, "ar", "fast", 0, (protocol_named("test@10-given-5"),), AR)
 
 
 def _loaded(path: Path) -> dict:

@@ -184,7 +184,8 @@ def _error_arrays(scores: Mapping[str, Any]) -> list[str]:
 def required(scores: Mapping[str, Any]) -> set[str]:
     """Return the names of the arrays that must be next to these scores."""
     if "law" in scores:
-        return {"frames", "goal_frame", "x", "good", "input", "tilts"}
+        shaped = {"kinetic", "desired"} if "passivity" in scores else set()
+        return {"frames", "goal_frame", "x", "good", "input", "tilts", *shaped}
     if "protocol" not in scores:
         return set()
     also = {"coordinate_error"} if "state" in scores else set()
