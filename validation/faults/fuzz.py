@@ -303,6 +303,7 @@ def main() -> None:
     path = base / "fuzz.jsonl"
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     known = {line["case"] for line in lines}
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, capture_output=True, text=True)
     worker = Worker(base)
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
@@ -313,7 +314,8 @@ def main() -> None:
                 usual[" ".join(words)] = usual_seconds(words, base)
                 memory.write_text(json.dumps(usual))
             worker = worker if worker.alive else Worker(base)
-            lines.append(run_case(worker, number, options.seed, base, usual))
+            found = run_case(worker, number, options.seed, base, usual)
+            lines.append(found | {"commit": commit.stdout.strip()})
             file.write(json.dumps(lines[-1]) + "\n")
             file.flush()
     print(json.dumps(summary(lines), indent=1))
