@@ -18,7 +18,7 @@ import pytest
 from data.sample import sample
 from keycld import KeycldError
 from keycld._files import checked_name, read_bytes, write_text
-from keycld._records import Name, Unexpected, checked, read_arrays
+from keycld._records import Name, NumberText, Unexpected, checked, read_arrays
 from keycld.cli.main import main
 from keycld.data import check, import_video, read, write
 from keycld.data.format.hdf5 import create_file
@@ -159,9 +159,11 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
 def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path):
     """Each ended in an error that nothing foresaw."""
     from keycld.benchmarks.results import Result
+    from keycld.evaluation.probe import fit_probe
     from keycld.evaluation.stored import check_arrays
     from keycld.models import config_for
     from keycld.reports.training_figure import terms
+    from keycld.systems import get
 
     for settings in ({"terms": 30}, {"terms": [1]}):
         with pytest.raises(KeycldError, match="terms of preset 'fast' does not take"):
@@ -182,6 +184,10 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
     with pytest.raises((Unexpected, KeyError)):
         check_arrays({}, {"turn/values": np.zeros(1)})
+    for name, fits in (("1", True), ("0.25", True), ("<script>", False), ("nan", False), ("-1", False)):
+        assert _is_checked({name: 1.0}, dict[NumberText, float]) == fits
+    with pytest.raises(KeycldError, match="not finite"):
+        fit_probe(get("pendulum"), np.full((2, 1, 2), np.nan), np.zeros((2, 2)), np.zeros((1, 2)), np.array([True]))
     stored = json.loads((REPOSITORY / "results/keycld/fast/pendulum-keycld-0.json").read_text())
     next(iter(stored["curves"].values()))["low"].pop()
     with pytest.raises(Unexpected, match="same length"):
@@ -190,6 +196,13 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     next(iter(stored["scores"].values()))["baselines"]["mean image"].pop("1")
     with pytest.raises(Unexpected, match=r"baselines.mean image.1' is missing"):
         checked(stored, Result)
+
+
+def _is_checked(value, kind):
+    try:
+        return checked(value, kind) == value
+    except Unexpected:
+        return False
 
 
 def test_states_that_their_renderer_cannot_render_are_refused(tmp_path):

@@ -131,7 +131,7 @@ def _serve(base: Path, asked: int, answer: int, speaking: int) -> None:
 
 def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str, float]) -> dict[str, Any]:
     """Damage a copy of the originals, run the verb, and return what happened."""
-    from validation.faults.mutate import damage
+    from validation.faults.mutate import MARK, damage
 
     target, words = chosen(number, seed)
     # A folder of its own: nothing may be remembered by its path.
@@ -146,6 +146,8 @@ def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str
     found = worker.run([word.replace("{work}", str(outer / "work")) for word in words], outer, limit)
     strangers = [path for path in case.rglob("*") if outer / "work" not in (path, *path.parents)]
     found["outside"] += [str(path) for path in strangers if path not in (outer, *outer.parents)]
+    pages = [path.read_text(errors="replace") for path in (outer / "work").rglob("*.html") if path.is_file()]
+    found["faults"] += ["injection"] if any(MARK in page for page in pages) else []
     shutil.rmtree(case)
     return {"case": number, "file": target.file, "damage": done, "words": " ".join(words),
             **found}  # fmt: skip

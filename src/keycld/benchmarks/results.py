@@ -11,7 +11,7 @@ import numpy as np
 from keycld import _records
 from keycld._errors import KeycldError
 from keycld._files import write_text
-from keycld._records import Unexpected, read_lines
+from keycld._records import NumberText, Unexpected, read_lines
 from keycld.benchmarks.experiment import Experiment, Place, digest
 from keycld.data import read_statistics
 from keycld.evaluation import Evaluation, load_evaluation
@@ -34,7 +34,7 @@ class _Vpt(TypedDict):
 
 
 class _Scores(TypedDict):
-    vpt: dict[str, _Vpt]
+    vpt: dict[NumberText, _Vpt]
     epsilon: float
     table_units: NotRequired[dict[str, float | None]]
     baselines: dict[str, dict[str, float | dict[str, float | None]]]
