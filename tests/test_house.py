@@ -16,7 +16,10 @@ FLOORS = [
     "evaluation", "training", "control", "benchmarks", "reports", "cli",
 ]  # fmt: skip
 # Modules of the package itself: what all rooms may use, and the package's own page, which stands above them.
-GROUND = ("_compile_cache", "_errors", "_ffmpeg", "_files", "_lock", "_progress", "_records", "_signals", "_version")
+GROUND = (
+    "_compile_cache", "_entry_points", "_errors", "_ffmpeg", "_files", "_lock", "_progress", "_records", "_signals",
+    "_version",
+)  # fmt: skip
 
 
 def modules() -> dict[str, Path]:

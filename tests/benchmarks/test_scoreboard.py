@@ -5,6 +5,7 @@ import json
 import pytest
 from bench_stub import fake_evaluation, record
 
+from keycld._errors import KeycldError
 from keycld.benchmarks import Place, as_csv, as_markdown, as_text, average_ranks, boards, suite_named, tables
 from keycld.benchmarks.experiment import Experiment
 from keycld.benchmarks.published_priors import PRIORS_TITLES, PUBLISHED
@@ -38,10 +39,28 @@ def scored(experiment, place, forward, backward=0.0, error=1.0):
 
 def test_the_suite_is_every_model_on_every_set():
     experiments = suite_named("priors").select()
-    assert len(experiments) == 7 * 17
-    assert list(dict.fromkeys(each.model for each in experiments)) == list(PRIORS_TITLES)
+    assert len(experiments) == 7 * 17 + 4
+    assert list(dict.fromkeys(each.model for each in experiments)) == [*PRIORS_TITLES, "keycld"]
     assert {each.data.folder for each in experiments} >= {"toy/mass_spring-2000-200", "md/lj_4-2100-200"}
     assert Experiment.from_json(experiments[0].to_json()) == experiments[0]
+
+
+def test_keycld_learns_the_sets_whose_discs_have_names(place):
+    """One keypoint a disc; the others stay on the board with what they lack."""
+    systems = ["toy/pendulum", "toy/double_pendulum", "toy/two_body", "games/matching_pennies"]
+    experiments = select(systems=systems, models=["hgn", "keycld"])
+    constraints = {each.data.label: each.config().phi for each in experiments if each.model == "keycld"}
+    assert {label: (len(phi.keypoints), len(phi.items)) for label, phi in constraints.items()} == {
+        "toy/pendulum": (1, 1),
+        "toy/double_pendulum": (2, 2),
+        "toy/two_body": (2, 0),
+    }
+    assert "test@256-priors-backward" in {protocol.name for protocol in experiments[-1].protocols}
+    (board, *_) = boards(experiments, place)
+    assert board.notes["games/matching_pennies", "keycld"] == "no keypoints"
+    assert board.notes["games/matching_pennies", "hgn"] == board.notes["toy/two_body", "keycld"] == "missing"
+    with pytest.raises(KeycldError, match="keycld cannot learn games/matching_pennies: no keypoints"):
+        select(systems=systems[-1:], models=["keycld"])
 
 
 def test_each_model_and_set_has_the_protocols_that_it_can_have():

@@ -68,6 +68,14 @@ class ModelConfig(abc.ABC):
         """
         return self
 
+    def shortened(self, share: float) -> "ModelConfig":
+        """Return the config with a share of its optimiser steps: of each setting `steps` or `epochs`, at least one."""
+        return _shortened(self, share)
+
+    def refusal(self, source: Any) -> str | None:
+        """Return in a few words what a data set or system lacks for this model, None where it has everything."""
+        return None
+
     def matching(self, model: "AbstractModel") -> "ModelConfig":
         """Return the config that builds models of this one's structure, which a stage may have changed."""
         return self
@@ -92,6 +100,13 @@ class ModelConfig(abc.ABC):
             KeycldError: an unknown name, with the nearest valid one, or a value of another type.
         """
         return _changed(self, _nested(settings), f"preset '{self.preset}'", "")
+
+
+def _shortened(config: Any, share: float) -> Any:
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    groups = {name: _shortened(value, share) for name, value in fields.items() if dataclasses.is_dataclass(value)}
+    lengths = {name: max(1, round(share * fields[name])) for name in ("steps", "epochs") if fields.get(name)}
+    return dataclasses.replace(config, **groups, **lengths)
 
 
 def at_least_one(config: Any, *names: str) -> None:
