@@ -17,6 +17,7 @@ import jax
 import numpy as np
 
 from keycld.benchmarks import suite_named
+from keycld.benchmarks.published_priors import PRIORS_TITLES
 from keycld.data import make_data, open_data
 from keycld.evaluation import evaluate, protocol_named, references
 from keycld.models import config_for
@@ -68,7 +69,7 @@ def main() -> int:
     chosen = parser.parse_args()
     suite, since = suite_named("priors"), time.monotonic()
     sets = [name for name in chosen.sets.split(",") if name] or [data.system for data in suite.data]
-    models = [name for name in chosen.models.split(",") if name] or list(suite.models)
+    models = [name for name in chosen.models.split(",") if name] or list(PRIORS_TITLES)
     protocol = dataclasses.replace(protocol_named(f"test@{FRAMES}-priors-of-2"), shown=1)
     failed, steps = [], {}
     with tempfile.TemporaryDirectory() as temporary:

@@ -1,6 +1,7 @@
 """The error for mistakes that a user can fix."""
 
 import difflib
+import math
 from collections.abc import Iterable
 
 
@@ -33,3 +34,13 @@ def check_seed(seed: int) -> None:
     """
     if not 0 <= seed < 2**32:
         raise KeycldError(f"a seed is a number from 0 to {2**32 - 1}, not {seed}.")
+
+
+def check_minutes(minutes: float | None) -> None:
+    """Refuse a time that is not positive; None is no limit.
+
+    Raises:
+        KeycldError: names the option.
+    """
+    if minutes is not None and not (minutes > 0 and math.isfinite(minutes)):
+        raise KeycldError(f"--minutes is a positive number, not {minutes:g}.")

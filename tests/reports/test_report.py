@@ -98,6 +98,28 @@ def test_a_run_without_results_says_what_is_left_out(tmp_path):
     assert "keycld train &lt;disc&gt;" in text
 
 
+def verdict(folder, passed, *failures):
+    (folder / "verdict.json").write_text(json.dumps({"passed": passed, "failures": failures}))
+
+
+def test_a_training_that_failed_is_not_shown_as_a_model(run, tmp_path):
+    """Even if a checkpoint of it was scored before it failed."""
+    folder = shutil.copytree(run, tmp_path / "run")
+    verdict(folder, False, "vision: no <parts> were found.", "vision: again.", "dynamics: no law was found.")
+    page = write_report(folder)
+    assert sections(page) == ["verdict", "training", "reproduce"]
+    text = page.read_text()
+    assert "has failed 3 times" in text and "<li>vision: no &lt;parts&gt; were found.</li>" in text
+    assert 'class="big"' not in text and "<video" not in text
+
+
+def test_a_training_that_began_again_says_so(run, tmp_path):
+    folder = shutil.copytree(run, tmp_path / "run")
+    verdict(folder, True, "vision: no parts were found.")
+    text = write_report(folder).read_text()
+    assert "It began again with other initial weights: vision: no parts were found." in text and 'class="big"' in text
+
+
 def test_results_of_a_model_without_keypoints_make_a_page(plain_run):
     page = write_report(plain_run)
     assert sections(page) == links(page) == ["movies", "sheets", "scores", "reproduce"]

@@ -2,6 +2,7 @@
 
 import importlib
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 import keycld.systems
 from keycld.data import make_data, open_data
 from keycld.systems import AbstractMujocoSystem, Conditions, get, names, register, render
-from keycld.systems.registry import _SYSTEMS
+from keycld.systems.registry import _SYSTEMS, _import_extensions
 
 PAGE = (Path(__file__).parents[2] / "docs" / "systems.md").read_text().split("## Add a system")[1]
 BLOCKS = re.findall(r"```(?:python|xml)\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -54,6 +55,23 @@ def test_the_pages_mujoco_system(tmp_path, monkeypatch, forget):
     red = np.argwhere(image[..., 0] > image[..., 2] + 60).mean(axis=0)
     wanted = system.landmarks(run.state[0])[0]
     np.testing.assert_allclose(red[::-1] / 31.5 - 1.0, wanted * np.array([1.0, -1.0]), atol=0.05)
+
+
+def test_an_installed_package_adds_a_system(tmp_path, monkeypatch, forget):
+    (tmp_path / "double_well.py").write_text(BLOCKS[0])
+    installed = tmp_path / "wells-0.1.dist-info"
+    installed.mkdir()
+    (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: wells\nVersion: 0.1\n")
+    (installed / "entry_points.txt").write_text("[keycld.systems]\nwell = double_well\n")
+    monkeypatch.delitem(sys.modules, "double_well", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    _import_extensions.cache_clear()
+    assert "toy/double_well" in names()
+    (tmp_path / "double_well.py").write_text("import nothing_of_this_name")
+    monkeypatch.delitem(sys.modules, "double_well")
+    _import_extensions.cache_clear()
+    with pytest.raises(keycld.KeycldError, match="the system 'well' of double_well cannot be loaded"):
+        names()
 
 
 def test_a_new_folder_is_found(tmp_path, monkeypatch, forget):

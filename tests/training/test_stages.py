@@ -9,9 +9,10 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld.data import FrameGroups, RandomFrames, Resident, WholeTrajectories
-from keycld.models.keycld.prepare import judge_vision
+from keycld.models.keycld.prepare import judge_trained, judge_vision
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, warmup_cosine
 from keycld.training.step import diagnose, initial_progress, make_step
+from keycld.vision import Observation
 
 
 @pytest.fixture
@@ -253,3 +254,36 @@ def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed(
     whole = 0.01 * 8 * 8 * 3
     judged = [judge_vision(model, data, {"reconstruction": share * whole}, worst=0.2) for share in (0.1, 0.27)]
     assert judged[0] is None and "0.27 of the mean picture's error" in str(judged[1])
+
+
+class Grey(eqx.Module):
+    """Renders a grey frame, as bright as its one keypoint is far right, on a black background."""
+
+    background: jax.Array
+    gain: float
+
+    def __call__(self, keypoints):
+        return self.background + self.gain * keypoints[0, 0]
+
+
+class SeesGrey(eqx.Module):
+    """A model whose keypoint is as far right as the frame is bright."""
+
+    estimator: object = eqx.field(static=True)
+    renderer: Grey
+
+    def observe(self, frame):
+        return Observation(jnp.array([[jnp.mean(frame), 0.0]]), None)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.0])
+def test_keypoints_that_left_their_parts_fail_in_the_final_judgement(data, gain):
+    whole = np.sqrt(np.mean((np.asarray(data.image) / 255.0) ** 2))
+
+    class Seeing:
+        standardise = SimpleNamespace(deviation=whole)
+
+    model = SeesGrey(Seeing(), Grey(jnp.zeros((8, 8, 3)), gain))
+    judged = judge_trained(model, data, {}, reconstruction=0.2, law=0.25)
+    assert (judged is None) == (gain == 1.0)
+    assert judged is None or "is 1.00 of the mean picture's error" in judged

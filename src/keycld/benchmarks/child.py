@@ -115,7 +115,7 @@ def train_model(experiment: Experiment, place: Place) -> None:
     """Train to the end, from the newest checkpoint if there is one."""
     run = place.run(experiment)
     if not finished(run):
-        train(place.data(experiment), run, experiment.config(), seed=experiment.seed)
+        train(place.data(experiment), run, experiment.config(), seed=experiment.seed, minutes=experiment.minutes)
 
 
 def evaluate_model(experiment: Experiment, place: Place) -> None:

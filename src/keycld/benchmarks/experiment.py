@@ -70,6 +70,7 @@ class Experiment:
         seed: of weights and data order.
         protocols: how it is scored; the first gives the headline score.
         settings: changed settings of the preset.
+        minutes: time that the steps of the preset are shortened to; None: they are not.
     """
 
     suite: str
@@ -79,6 +80,7 @@ class Experiment:
     seed: int
     protocols: tuple[Protocol, ...]
     settings: dict[str, Any] = field(default_factory=dict)
+    minutes: float | None = None
 
     @property
     def name(self) -> str:
@@ -87,17 +89,32 @@ class Experiment:
 
     @property
     def group(self) -> str:
-        """Folder of experiments with the same suite and preset, `keycld/fast`; changed settings have their own."""
+        """Folder of experiments with the same suite and preset, `keycld/fast`; changed settings and times their own."""
         changed = f"-{digest(self.settings)[:8]}" if self.settings else ""
-        return f"{self.suite}/{self.preset}{changed}"
+        short = "" if self.minutes is None else f"-{self.minutes:g}min"
+        return f"{self.suite}/{self.preset}{changed}{short}"
 
-    def config(self) -> ModelConfig:
-        """Return the config of the model, with the changed settings.
+    @property
+    def chosen(self) -> ModelConfig:
+        """The config of the model with the changed settings, before it knows its data.
 
         Raises:
             KeycldError: the model, the preset or a setting does not exist.
         """
-        return config_for(self.model, self.preset, **self.settings).completed(get(self.data.system))
+        return config_for(self.model, self.preset, **self.settings)
+
+    @property
+    def refusal(self) -> str | None:
+        """What the data lack for this model, in a few words; None where they have everything."""
+        return self.chosen.refusal(get(self.data.system))
+
+    def config(self) -> ModelConfig:
+        """Return the config of the model with what it takes from the system, such as constraints.
+
+        Raises:
+            KeycldError: the model, the preset or a setting does not exist; the data lack something.
+        """
+        return self.chosen.completed(get(self.data.system))
 
     def hash(self) -> str:
         """Return the hash of all that determines the outcome: model, preset, all settings, seed, data recipe."""
@@ -112,6 +129,8 @@ class Experiment:
             "seed": self.seed,
             "data": data,
         }
+        if self.minutes is not None:
+            decides["minutes"] = self.minutes
         return digest(decides)
 
     def to_json(self) -> str:

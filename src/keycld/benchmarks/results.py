@@ -11,7 +11,7 @@ import numpy as np
 from keycld import _records
 from keycld._errors import KeycldError
 from keycld._files import write_text
-from keycld._records import Unexpected, read_lines
+from keycld._records import NumberText, Unexpected, read_lines
 from keycld.benchmarks.experiment import Experiment, Place, digest
 from keycld.data import read_statistics
 from keycld.evaluation import Evaluation, load_evaluation
@@ -33,11 +33,31 @@ class _Vpt(TypedDict):
     mean: float
 
 
+class _Friction(TypedDict):
+    found: float | None
+    true: float | None
+
+
+class _State(TypedDict):
+    acceleration: NotRequired[float | None]
+    friction: NotRequired[_Friction | None]
+
+
 class _Scores(TypedDict):
-    vpt: dict[str, _Vpt]
+    vpt: dict[NumberText, _Vpt]
     epsilon: float
+    state: NotRequired[_State]
     table_units: NotRequired[dict[str, float | None]]
     baselines: dict[str, dict[str, float | dict[str, float | None]]]
+
+
+def _comparable(scores: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the scores under a protocol, if trivial predictors are scored at each of its thresholds."""
+    thresholds = scores["vpt"].keys()
+    for name, baseline in scores["baselines"].items():
+        if missing := thresholds - baseline.keys():
+            raise Unexpected(f"'{where}.baselines.{name}.{min(missing)}' is missing")
+    return scores
 
 
 class _Curve(TypedDict):
@@ -60,8 +80,10 @@ class _Cost(TypedDict):
     frames: int
 
 
-class _Settings(TypedDict):
+class _Config(TypedDict):
     settings: dict[str, Any]
+    minutes: NotRequired[float | None]
+    share: NotRequired[float]
 
 
 class _Machine(TypedDict):
@@ -86,7 +108,7 @@ class Result(TypedDict):
     machine: _Machine
     training: _Cost
     seconds: dict[str, float]
-    scores: dict[str, _Scores]
+    scores: dict[str, Annotated[_Scores, _comparable]]
     curves: dict[str, Annotated[_Curve, _even]]
 
 
@@ -103,7 +125,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         the error over time.
     """
     run, data = place.run(experiment), place.data(experiment)
-    config = read_json(run / "config.json", _Settings)
+    config = read_json(run / "config.json", _Config)
     trained_in = read_json(run / "environment.json", _Environment)
     statistics, lines = read_statistics(data), read_lines(run / "metrics.jsonl", _Cost)
     if config is None or trained_in is None or statistics is None or not lines:
@@ -120,6 +142,8 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         "preset": experiment.preset,
         "seed": experiment.seed,
         "settings": config["settings"],
+        "minutes": config.get("minutes"),
+        "share": config.get("share", 1.0),
         # Of the first process of the training, and of the process that evaluated.
         "commit": trained_in["commit"],
         "commit_scored": environment()["commit"],
@@ -127,7 +151,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         "config_hash": experiment.hash(),
         "data_hash": digest({name: split["sha256"] for name, split in statistics["splits"].items()}),
         "data_recipe_hash": digest(statistics["recipe"]),
-        "training": {name: last[name] for name in ("seconds", "cpu_seconds", "frames")},
+        "training": {name: last[name] for name in ("seconds", "cpu_seconds", "frames", "step")},
         "seconds": {name: round(value, 1) for name, value in seconds.items()},
         "scores": {name: _scores(each.scores) for name, each in stored.items()},
         "curves": {name: _curve(each) for name, each in stored.items()},
@@ -138,6 +162,8 @@ def command(experiment: Experiment) -> str:
     """Return the command that does only this experiment, with its data and scores."""
     words = ["keycld bench run", experiment.suite, "--only", experiment.name, "--seeds", str(experiment.seed)]
     words += ["--models", experiment.model, "--preset", experiment.preset]
+    if experiment.minutes is not None:
+        words += ["--minutes", f"{experiment.minutes:g}"]
     if experiment.settings:
         words += ["--set", *(f"{name}={_value(value)}" for name, value in experiment.settings.items())]
     return " ".join(words)

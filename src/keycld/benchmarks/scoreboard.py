@@ -1,6 +1,7 @@
 """Tables 1, 5 and 6 of "Which priors matter?": published scores, ours, the winner of each, average ranks."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from keycld.benchmarks.experiment import Experiment, Place
@@ -58,7 +59,7 @@ class Board(NamedTuple):
         ours: mean over seeds, by set and model.
         cells: the same with the spread.
         trivial: the constant mean image, by set.
-        notes: why a score is missing or not comparable, by set and model.
+        notes: why a score is missing or not comparable, such as a shortened training, by set and model.
     """
 
     measure: Measure
@@ -71,9 +72,11 @@ class Board(NamedTuple):
 def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]:
     """Return what is recorded of some experiments, for each table that one of their protocols serves.
 
-    Nothing is dropped: an experiment without a score has a note with its state, a failure with its kind.
+    Nothing is dropped: an experiment without a score has a note with its state, a failure with its kind. Data that a
+    model cannot learn have the reason.
     """
     states = [(experiment, status_of(experiment, place)) for experiment in experiments]
+    lacking = _lacking(experiments)
     found = []
     for measure in MEASURES:
         values: dict[tuple[str, str], list[float]] = {}
@@ -96,19 +99,34 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
                 notes[key] = "not finite"
                 continue
             values.setdefault(key, []).append(value)
-            if protocol.given > 5:
-                notes[key] = f"{protocol.given} frames given"
+            remarks = [f"{protocol.given} frames given"] if protocol.given > 5 else []
+            if status.result.get("share", 1.0) < 1.0:
+                remarks.append(f"{status.result['share']:.0%} of the steps")
+            if remarks:
+                notes[key] = ", ".join(remarks)
             still = measure.value(scores["baselines"]["mean image"])
             if still is not None:
                 trivial[key[0]] = still
         if not served:
             continue
+        notes |= lacking
         cells = {key: over_seeds(each) for key, each in values.items()}
         ours: dict[str, dict[str, float]] = {}
         for (label, model), cell in cells.items():
             ours.setdefault(label, {})[model] = cell.mean
         found.append(Board(measure, ours, cells, trivial, notes))
     return tuple(found)
+
+
+def _lacking(experiments: Sequence[Experiment]) -> dict[tuple[str, str], str]:
+    """Return by set and model what the data of some experiments lack for the models of others."""
+    found = {}
+    for data in dict.fromkeys(each.data for each in experiments):
+        for each in {each.model: each for each in experiments}.values():
+            reason = replace(each, data=data).refusal
+            if reason is not None:
+                found[data.label, each.model] = reason
+    return found
 
 
 def _serves(protocol: Protocol, measure: Measure) -> bool:
@@ -175,6 +193,8 @@ def priors_tables(experiments: Sequence[Experiment], place: Place) -> tuple[Tabl
             if measure.part is None
             else f"{measure.title}; 5 frames given of {measure.horizon}"
         )
+        if experiments[0].minutes is not None:
+            title += f", trainings shortened to {experiments[0].minutes:g} minutes of steps"
         title += f", mean over 20 trajectories, {better} is better; ± standard deviation over seeds (number of seeds)"
         columns = (*map(model_title, models), "mean image")
         found.append(Table(measure.name, title, columns, tuple(rows), digits=measure.digits))

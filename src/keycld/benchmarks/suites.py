@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from keycld._errors import KeycldError, unknown
+from keycld._errors import KeycldError, check_minutes, unknown
 from keycld.benchmarks.experiment import DataRecipe, Experiment
 from keycld.benchmarks.published_priors import FORWARD, PRIORS_TITLES
 from keycld.evaluation import Protocol, protocol_named, with_given
@@ -44,7 +44,7 @@ class Suite:
         seeds: seeds by default.
         protocols: how the experiments are scored; the first gives the headline score.
         fitting: whether a model gets as many frames as it needs, and protocols that it or the data cannot have are
-            left out. Otherwise such a model is refused.
+            left out, as are data that it cannot learn. Otherwise such a model is refused.
     """
 
     name: str
@@ -64,6 +64,7 @@ class Suite:
         models: Sequence[str] = (),
         preset: str = "fast",
         settings: dict[str, Any] | None = None,
+        minutes: float | None = None,
     ) -> tuple[Experiment, ...]:
         """Return the selected experiments in the order of their work: by seed, then model, then data.
 
@@ -74,26 +75,35 @@ class Suite:
             models: models; by default those of the suite.
             preset: name of the preset.
             settings: changed settings of the preset.
+            minutes: time that the steps of each training are shortened to.
 
         Raises:
-            KeycldError: a name does not exist, nothing is selected, or the preset needs more frames than are given.
+            KeycldError: a name does not exist, minutes are not positive, nothing is selected, the preset needs more
+                frames than are given, or the models can learn none of the data.
         """
+        check_minutes(minutes)
         moving = tuple(dict.fromkeys(data.system for data in self.data))
         for kind, given, known in (("system", systems, moving), ("model", models, registered())):
             for name in given:
                 if name not in known:
                     raise unknown(kind, name, known)
         found = [
-            Experiment(self.name, data, model, preset, seed, self.protocols, dict(settings or {}))
+            Experiment(self.name, data, model, preset, seed, self.protocols, dict(settings or {}), minutes)
             for seed in seeds or self.seeds
             for model in models or self.models
             for data in self.data
             if not systems or data.system in systems
         ]
         # Raises now if a preset or a setting does not exist or does not fit.
-        needed, least = found[0].config().context, min(protocol.given for protocol in self.protocols)
+        needed, least = found[0].chosen.context, min(protocol.given for protocol in self.protocols)
         if self.fitting:
-            found = [replace(each, protocols=_fitting(each.data, each.config(), self.protocols)) for each in found]
+            possible = [each for each in found if each.refusal is None]
+            if not possible:
+                raise KeycldError(
+                    f"{found[0].model} cannot learn {found[0].data.label}: {found[0].refusal}; choose other --systems "
+                    "or --models."
+                )
+            found = [replace(each, protocols=_fitting(each.data, each.config(), self.protocols)) for each in possible]
         elif needed > least:
             raise KeycldError(
                 f"preset '{preset}' predicts from {needed} frames, but the suite {self.name} gives {least}: take the "
@@ -160,9 +170,9 @@ SUITES = {
         ),
         Suite(
             name="priors",
-            title="the models of “Which priors matter?” on its 17 data sets, five given frames",
+            title="the models of “Which priors matter?” and KeyCLD on its 17 data sets, five given frames",
             data=_priors_data(),
-            models=tuple(PRIORS_TITLES),
+            models=(*PRIORS_TITLES, "keycld"),
             seeds=(0,),
             protocols=tuple(
                 protocol_named(name)

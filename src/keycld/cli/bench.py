@@ -18,13 +18,15 @@ class Selection:
 
     Args:
         suite: keycld (three systems, four models, two given frames), keycld-2024 (eight configurations, three), zoo
-            (twelve mechanisms) or priors (17 sets, seven models, five given frames).
+            (twelve mechanisms) or priors (17 sets, eight models, five given frames).
         only: Experiments with this text in their name, such as acrobot-node2.
         seeds: Such as 0,1,2; by default the suite's.
         systems: Such as pendulum,acrobot or toy/mass_spring; by default all.
         models: Such as keycld,node2; by default the suite's. `keycld models` lists all.
         preset: Preset of the training.
         set: Settings of the preset to change, such as vision.steps=500. The results get a folder of their own.
+        minutes: Shorten each training so that its steps take this time on this machine; such results have a folder of
+            their own. By default the preset is taken whole.
         root: Folder of data/ and runs/.
         results: Folder of the results.
     """
@@ -32,10 +34,11 @@ class Selection:
     suite: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SUITE")]
     only: str = ""
     seeds: str = ""
-    systems: str = ""
+    systems: Annotated[str, tyro.conf.arg(aliases=["--sets"])] = ""
     models: str = ""
     preset: str = "fast"
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = ()
+    minutes: float | None = None
     root: Path = Path(".")
     results: Path = Path("results")
 
@@ -51,6 +54,7 @@ class Selection:
             models=_words(self.models),
             preset=self.preset,
             settings=dict(parse_setting(text) for text in self.set),
+            minutes=self.minutes,
         )
 
     def place(self) -> "Place":
@@ -125,14 +129,20 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
 def figures(selection: Chosen, *, out: Path | None = None) -> None:
     """Write the KeyCLD paper's Figs. 1, 3 to 5 and 8 to 15 as far as results are stored, and movies side by side.
 
+    Of the suite priors: frame sheets and movies of all models, and cost against score.
+
     Args:
         selection: Which experiments.
         out: Folder of the PNG, MP4 and GIF files; by default ROOT/runs/SUITE/PRESET/media.
     """
-    from keycld.benchmarks import illustrate
+    from keycld.benchmarks import illustrate, illustrate_priors, suite_named
 
     experiments, place = selection.experiments(), selection.place()
-    written = illustrate(experiments, place, out or place.group(experiments[0]) / "media")
+    folder = out or place.group(experiments[0]) / "media"
+    if suite_named(selection.suite).fitting:
+        print("\n".join(map(str, illustrate_priors(experiments, place, folder))))
+        return
+    written = illustrate(experiments, place, folder)
     print("\n".join([*map(str, written.files), *written.paper.left_out]))
 
 

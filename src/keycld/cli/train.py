@@ -20,6 +20,7 @@ def train(
     settings: ModelConfig,
     seed: int | None = None,
     devices: int | None = None,
+    minutes: float | None = None,
     out: Path | None = None,
     constraints: Annotated[str | None, tyro.conf.arg(aliases=["--mechanism"])] = None,
     config: Path | None = None,
@@ -41,6 +42,7 @@ def train(
         settings: Fields of the preset.
         seed: Seed of weights and data order; by default 0. Same seed, machine and settings: same bits.
         devices: Devices that share the clips of each step; by default 1.
+        minutes: Shorten the recipe so that its steps take this time on this machine; by default it is taken whole.
         out: Run folder; by default runs/DATA-MODEL-PRESET-SEED.
         constraints: TOML file with keypoints and constraints, or the name of a mechanism (pendulum, double-pendulum,
             cart-pole, spring), instead of those of the data; for models that have some.
@@ -72,6 +74,7 @@ def train(
         settings,
         seed=seed,
         devices=1 if devices is None else devices,
+        minutes=minutes,
         track=track,
         log_every=log_every,
         checkpoint_seconds=checkpoint_seconds,

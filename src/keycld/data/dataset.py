@@ -178,6 +178,11 @@ class DataSet:
         return get(name).constraints
 
     @property
+    def looks_differ(self) -> bool:
+        """Whether the parts look different from recording to recording, as far as the system says."""
+        return self.system in names() and get(self.system).looks_differ
+
+    @property
     def keypoints(self) -> tuple[str, ...]:
         """Names of the keypoints, in the order of the constraints file or of the system; () if there are none."""
         found = self.constraints

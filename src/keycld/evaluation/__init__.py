@@ -55,6 +55,9 @@ from keycld.evaluation.summary import setting_text as setting_text
 from keycld.evaluation.summary import summary as summary
 from keycld.evaluation.summary import threshold_text as threshold_text
 from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
+from keycld.evaluation.symetric import SyMetric as SyMetric
+from keycld.evaluation.symetric import score_symetric as score_symetric
+from keycld.evaluation.symetric import symetric as symetric
 
 __all__ = [
     "Constant",
@@ -62,6 +65,9 @@ __all__ = [
     "Evaluation",
     "IdentifiedLog",
     "METRICS",
+    "SyMetric",
+    "score_symetric",
+    "symetric",
     "Measured",
     "PAPER_VPT",
     "PHYSICS",

@@ -14,6 +14,7 @@ from keycld.models.base import HasLagrangian
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
+    from keycld.systems import AbstractSystem
 
 _MOST_TRAJECTORIES = 200
 _STEP = 1e-3
@@ -48,29 +49,48 @@ def acceleration_error(
     derivative = recordings.state_derivative.reshape(state.shape)
     u = recordings.input[:, None] if recordings.input.ndim == 2 else recordings.input
     u = np.broadcast_to(u, (*recordings.state.shape[:2], u.shape[-1])).reshape(len(state), -1)
-    before, now, after = (probe.system.landmarks(_moved(state, derivative, sign)) for sign in (-1, 0, 1))
-    velocity, true = (after - before) / (2 * _STEP), (after - 2 * now + before) / _STEP**2
-    to_keypoints, *_ = np.linalg.lstsq(
-        with_one(probe.system.landmarks(fit[1])), fit[0].reshape(len(fit[0]), -1), rcond=None
-    )
-    x = with_one(now) @ to_keypoints
-    v = velocity.reshape(len(state), -1) @ to_keypoints[:-1]
+    before, now, after = (probe.system.landmarks(moved(state, derivative, sign * _STEP)) for sign in (-1, 0, 1))
+    true = (after - 2 * now + before) / _STEP**2
+    x, v = keypoint_motion(probe.system, fit, state, derivative)
     found = np.asarray(_accelerations(model, jnp.asarray(x), jnp.asarray(v), jnp.asarray(u)), np.float64)
     gap = found @ probe.matrix[:-1] - true.reshape(len(state), -1)
     return float(np.sqrt(np.mean(gap**2) / np.mean(true**2)))
 
 
-def _moved(state: np.ndarray, derivative: np.ndarray, sign: int) -> np.ndarray:
-    """Return the state with positions a short time earlier or later."""
+def keypoint_motion(
+    system: "AbstractSystem",
+    fit: tuple[Float[np.ndarray, "M K 2"], Float[np.ndarray, "M d"]],
+    state: Float[np.ndarray, "N d"],
+    derivative: Float[np.ndarray, "N d"],
+) -> tuple[Float[np.ndarray, "N dim"], Float[np.ndarray, "N dim"]]:
+    """Return where a model's keypoints are in true states, and their velocities, by the best affine map to them.
+
+    Args:
+        system: whose landmarks are mapped.
+        fit: observed keypoints and true states on the frames that the map is fitted to.
+        state: true states.
+        derivative: their rates of change.
+    """
+    to_keypoints, *_ = np.linalg.lstsq(with_one(system.landmarks(fit[1])), fit[0].reshape(len(fit[0]), -1), rcond=None)
+    before, now, after = (system.landmarks(moved(state, derivative, sign * _STEP)) for sign in (-1, 0, 1))
+    velocity = (after - before).reshape(len(state), -1) / (2 * _STEP)
+    return with_one(now) @ to_keypoints, velocity @ to_keypoints[:-1]
+
+
+def moved(
+    state: Float[np.ndarray, "N d"], derivative: Float[np.ndarray, "N d"], time: float
+) -> Float[np.ndarray, "N d"]:
+    """Return states with positions a short time later, seconds; to second order."""
     q, (rate, acceleration) = positions(state), np.split(derivative, 2, axis=-1)
-    moved = q + sign * _STEP * rate + _STEP**2 / 2 * acceleration * sign**2
-    return np.concatenate([moved, state[..., q.shape[-1] :]], axis=-1)
+    return np.concatenate([q + time * rate + time**2 / 2 * acceleration, state[..., q.shape[-1] :]], axis=-1)
+
+
+def on_constraints(model: HasLagrangian, x: Array, v: Array) -> tuple[Array, Array]:
+    """Return the nearest position and velocity `[2K]` that the model's constraints allow."""
+    x = x if model.constants is None else model.law.project_position(x, model.constants)
+    return x, model.law.project_velocity(x, v)
 
 
 @eqx.filter_jit
 def _accelerations(model: HasLagrangian, x: Array, v: Array, u: Array) -> Array:
-    def one(x: Array, v: Array, u: Array) -> Array:
-        x = x if model.constants is None else model.law.project_position(x, model.constants)
-        return model.law.acceleration(x, model.law.project_velocity(x, v), u)
-
-    return jax.vmap(one)(x, v, u)
+    return jax.vmap(lambda x, v, u: model.law.acceleration(*on_constraints(model, x, v), u))(x, v, u)

@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keycld.evaluation.acceleration import acceleration_error
+from keycld.evaluation.friction import friction_rates
 from keycld.evaluation.predicting import observe
 from keycld.evaluation.probe import fit_probe, probe_scores
 from keycld.evaluation.reading import blocks, coprime, evenly, visited
@@ -72,8 +73,8 @@ def score_states(
         rolled: predicted keypoints `[N, T, K, 2]` and true states `[N, T, d]`.
 
     Returns:
-        scores and curves of `probe_scores`, with `acceleration` of `acceleration_error`, and the number of frames that
-        passed through the encoder.
+        scores and curves of `probe_scores`, with `acceleration` of `acceleration_error` and `friction` of
+        `friction_rates`, and the number of frames that passed through the encoder.
     """
     assert shared.angles is not None
     fit, observed = observed_states(model, data, "validation"), observed_states(model, data, *scored)
@@ -81,4 +82,5 @@ def score_states(
     scores, curves = probe_scores(probe, fit, observed, rolled)
     if isinstance(model, HasLagrangian):
         scores["acceleration"] = acceleration_error(model, probe, fit, data, scored[0])
+        scores["friction"] = friction_rates(model, system, fit, rolled[1].reshape(-1, rolled[1].shape[-1]))
     return scores, curves, len(fit[0]) + len(observed[0])

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from keycld.models.base import AbstractModel
     from keycld.stages import Stage
 
+_LARGEST, _LARGEST_COUNT = 1e12, 2**31 - 1
+
 
 @dataclasses.dataclass(frozen=True)
 class ModelConfig(abc.ABC):
@@ -66,6 +68,14 @@ class ModelConfig(abc.ABC):
         """
         return self
 
+    def shortened(self, share: float) -> "ModelConfig":
+        """Return the config with a share of its optimiser steps: of each setting `steps` or `epochs`, at least one."""
+        return _shortened(self, share)
+
+    def refusal(self, source: Any) -> str | None:
+        """Return in a few words what a data set or system lacks for this model, None where it has everything."""
+        return None
+
     def matching(self, model: "AbstractModel") -> "ModelConfig":
         """Return the config that builds models of this one's structure, which a stage may have changed."""
         return self
@@ -90,6 +100,13 @@ class ModelConfig(abc.ABC):
             KeycldError: an unknown name, with the nearest valid one, or a value of another type.
         """
         return _changed(self, _nested(settings), f"preset '{self.preset}'", "")
+
+
+def _shortened(config: Any, share: float) -> Any:
+    fields = {field.name: getattr(config, field.name) for field in dataclasses.fields(config)}
+    groups = {name: _shortened(value, share) for name, value in fields.items() if dataclasses.is_dataclass(value)}
+    lengths = {name: max(1, round(share * fields[name])) for name in ("steps", "epochs") if fields.get(name)}
+    return dataclasses.replace(config, **groups, **lengths)
 
 
 def at_least_one(config: Any, *names: str) -> None:
@@ -155,24 +172,19 @@ def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
 
 
 def _checked(value: Any, old: Any, kind: Any, what: str) -> Any:
-    """Return the value, converted to the type of the setting that it replaces; that of the field, if this is None."""
-    if old in (None, ()):
-        try:
-            return checked(tuple(value) if isinstance(value, list) else value, kind)
-        except Unexpected:
-            raise KeycldError(f"{what} does not take {value!r}.") from None
-    if isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
-        return value
-    if isinstance(old, tuple):
-        value = tuple(value) if isinstance(value, (list, tuple)) else (value,)
-    parts = value if isinstance(value, tuple) else (value,)
-    kinds = {type(part) for part in (old if isinstance(old, tuple) else (old,))}
-    if kinds == {float}:
-        parts = tuple(float(part) if type(part) is int else part for part in parts)
-        value = parts if isinstance(value, tuple) else parts[0]
-    if not parts or {type(part) for part in parts} - kinds:
-        raise KeycldError(f"{what} takes a {type(old).__name__} such as {old}, not {value!r}.")
-    return value
+    """Return the value as the type of its field; one number stands for a list of one."""
+    wanted = tuple(value) if isinstance(value, list) else value
+    if isinstance(old, tuple) and not isinstance(wanted, tuple):
+        wanted = (wanted,)
+    found, fits = None, True
+    try:
+        found = checked(wanted, kind)
+    except Unexpected:
+        fits = False
+    if not fits or (found == () and old):
+        words = f"takes a {type(old).__name__} such as {old}, not" if old not in (None, ()) else "does not take"
+        raise KeycldError(f"{what} {words} {value!r}.")
+    return found
 
 
 def _check_numbers(config: Any, prefix: str) -> None:
@@ -182,5 +194,12 @@ def _check_numbers(config: Any, prefix: str) -> None:
             _check_numbers(value, f"{prefix}{field.name}.")
             continue
         for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, (int, float)) and not (part >= 0 and math.isfinite(part)):
+            if not isinstance(part, (int, float)):
+                continue
+            if not (part >= 0 and math.isfinite(part)):
                 raise KeycldError(f"setting {prefix}{field.name} is a finite number of at least 0, not {part}.")
+            # Beyond these, squares and reciprocals in single precision, or counts in 32 bits, are lost.
+            if part > (_LARGEST_COUNT if isinstance(part, int) else _LARGEST) or 0 < part < 1 / _LARGEST:
+                raise KeycldError(
+                    f"setting {prefix}{field.name} is 0 or between 1e-12 and 1e12, a count below 2^31, not {part}."
+                )

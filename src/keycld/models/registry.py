@@ -5,10 +5,10 @@ import functools
 import importlib
 import pkgutil
 from collections.abc import Callable, Mapping
-from importlib import metadata
 from typing import Any, TypeVar
 
-from keycld._errors import KeycldError, unknown
+from keycld._entry_points import load_entry_points
+from keycld._errors import unknown
 from keycld.models.config import ModelConfig
 
 ENTRY_POINTS = "keycld.models"
@@ -80,13 +80,7 @@ def _load() -> None:
     for module in pkgutil.iter_modules(package.__path__):
         if module.ispkg:
             importlib.import_module(f"{package.__name__}.{module.name}")
-    for point in metadata.entry_points(group=ENTRY_POINTS):
-        try:
-            point.load()
-        except Exception as error:
-            raise KeycldError(
-                f"the model family '{point.name}' of {point.value} cannot be loaded ({error}): fix or uninstall it."
-            ) from error
+    load_entry_points(ENTRY_POINTS, "model family")
 
 
 def models() -> Mapping[str, ModelEntry]:

@@ -39,6 +39,8 @@ def head(run: Run, sections: str) -> str:
     line = "".join(f"<span>{html.text(name)} <b>{html.text(value)}</b></span>" for name, value in facts)
     top = f'<p class="eyebrow">KeyCLD · what one run learned</p><h1>{html.text(system.capitalize())}</h1>'
     result = run.headline
+    if run.failed:
+        return f'<header>{top}<p class="facts">{line}</p></header>'
     if result is None:
         return f'<header>{top}<p class="facts">{line}</p></header>' + html.missing(
             "predictions", "Prediction", "the run has not been evaluated; run keycld eval on it"

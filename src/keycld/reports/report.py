@@ -21,13 +21,15 @@ _SECTIONS = (
     run_sections.training,
     run_sections.reproduction,
 )
+# What a training that failed has to show.
+_OF_FAILURE = (run_sections.verdict, run_sections.training, run_sections.reproduction)
 
 
 def write_report(run_folder: str | Path) -> Path:
     """Write `report.html` into a run folder, and its movies and figures into `media/`; return the path of the page.
 
     It reads stored results only: `config.json`, `environment.json`, `metrics.jsonl` and `evaluation/`. A line replaces
-    each section whose results are missing.
+    each section whose results are missing. The page of a training that failed says why, and shows nothing as a model.
 
     Raises:
         KeycldError: it is not a run folder, a stored file is damaged, or the folder cannot be written.
@@ -39,7 +41,7 @@ def write_report(run_folder: str | Path) -> Path:
 
 def _write(run: Run, folder: Path) -> Path:
     title = f"{run.config.get('system', 'run')} · KeyCLD"
-    sections = "".join(section(run) for section in _SECTIONS)
+    sections = "".join(section(run) for section in (_OF_FAILURE if run.failed else _SECTIONS))
     body = prediction_sections.head(run, sections) + sections
     footer = "Written by <b>keycld report</b> from the results in this run’s folder."
     return write_page(folder / "report.html", title, body, footer)

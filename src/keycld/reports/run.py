@@ -9,6 +9,7 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld._records import read_json, read_lines
 from keycld.evaluation import PHYSICS, Evaluation, load_evaluation
+from keycld.training import read_verdict
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Run:
         evaluations: the files of `evaluation/*.json` with scores under a protocol, by name; shortest horizon first.
         sweeps: potential energies along paths, None if absent.
         controls: closed-loop runs by name.
+        failures: what failed in each attempt of the training, in a sentence each.
+        failed: whether the last of them ended the training.
     """
 
     folder: Path
@@ -32,6 +35,8 @@ class Run:
     evaluations: dict[str, Evaluation]
     sweeps: dict[str, np.ndarray] | None
     controls: dict[str, Evaluation]
+    failures: list[str]
+    failed: bool
 
     @property
     def headline(self) -> Evaluation | None:
@@ -71,6 +76,7 @@ def read_run(folder: str | Path) -> Run:
     results = {name: load_evaluation(folder, name) for name in names}
     scored = {name: result for name, result in results.items() if "protocol" in result.scores}
     sweeps = results["sweeps"].arrays if "sweeps" in results else None
+    verdict = read_verdict(folder) or {"passed": True, "failures": []}
     return Run(
         folder=folder,
         config=_json(folder / "config.json"),
@@ -79,6 +85,8 @@ def read_run(folder: str | Path) -> Run:
         evaluations=dict(sorted(scored.items(), key=lambda item: item[1].scores["protocol"]["horizon"])),
         sweeps=sweeps if sweeps else None,
         controls={name: result for name, result in results.items() if "law" in result.scores},
+        failures=verdict["failures"],
+        failed=not verdict["passed"],
     )
 
 

@@ -8,8 +8,15 @@ from keycld.reports.run import Run
 from keycld.reports.training_figure import terms, training_figure
 
 
+def verdict(run: Run) -> str:
+    """Say what failed in each attempt of a training."""
+    attempts = "".join(f"<li>{html.text(failure)}</li>" for failure in run.failures)
+    note = f"This training has failed {len(run.failures)} times, each with other initial weights: there is no model."
+    return html.section("verdict", "Failed", html.paragraph(note) + f"<ol>{attempts}</ol>")
+
+
 def training(run: Run) -> str:
-    """Show curves from metrics.jsonl."""
+    """Show curves from metrics.jsonl, and why the training began again if it did."""
     figure = training_figure(run.metrics)
     if figure is None:
         return html.missing("training", "Training", "metrics.jsonl is absent or empty")
@@ -31,6 +38,8 @@ def training(run: Run) -> str:
     ]
     if once:
         note += f" Measured once: {', '.join(once)}."
+    if run.failures and not run.failed:
+        note += f" It began again with other initial weights: {html.text(' '.join(run.failures))}"
     chart = html.figure(
         html.chart(figure, "training"), "Loss terms and scores; a hairline is the first step of a stage."
     )

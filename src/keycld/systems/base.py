@@ -112,6 +112,7 @@ class AbstractSystem(abc.ABC):
         units: of these, in the same order.
         input_names: one for each input; empty where nothing drives the system.
         keypoints: names of the suggested keypoints; empty where the system suggests none.
+        looks_differ: whether the parts look different from recording to recording, for example in colour.
     """
 
     name: ClassVar[str]
@@ -121,6 +122,7 @@ class AbstractSystem(abc.ABC):
     units: ClassVar[tuple[str, ...]]
     input_names: ClassVar[tuple[str, ...]] = ()
     keypoints: ClassVar[tuple[str, ...]] = ()
+    looks_differ: ClassVar[bool] = False
 
     @property
     def constraints(self) -> "keycld.mechanics.Constraints | None":

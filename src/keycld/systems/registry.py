@@ -1,12 +1,15 @@
-"""Finds systems by name: every module in a folder of this package that registers one is known."""
+"""Finds systems by name: each module in a folder of this package, or of another package's entry points, adds some."""
 
+import functools
 import importlib
 import pkgutil
 from typing import TypeVar
 
+from keycld._entry_points import load_entry_points
 from keycld._errors import unknown
 from keycld.systems.base import AbstractSystem
 
+ENTRY_POINTS = "keycld.systems"
 _SYSTEMS: dict[str, AbstractSystem] = {}
 S = TypeVar("S", bound=AbstractSystem)
 
@@ -23,13 +26,19 @@ def register(system: type[S]) -> type[S]:
 
 
 def _import_systems() -> None:
-    """Import every module of every folder; each registers its systems."""
+    """Import every module of every folder, and what installed packages announce; each registers its systems."""
     package = importlib.import_module("keycld.systems")
     for kind in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         if kind.ispkg:
             folder = importlib.import_module(kind.name)
             for module in pkgutil.iter_modules(folder.__path__, f"{kind.name}."):
                 importlib.import_module(module.name)
+    _import_extensions()
+
+
+@functools.cache
+def _import_extensions() -> None:
+    load_entry_points(ENTRY_POINTS, "system")
 
 
 def names(kind: type[AbstractSystem] = AbstractSystem) -> tuple[str, ...]:

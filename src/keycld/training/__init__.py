@@ -10,6 +10,7 @@ from keycld.training.run_folder import RunConfig as RunConfig
 from keycld.training.run_folder import environment as environment
 from keycld.training.run_folder import parse_config as parse_config
 from keycld.training.run_folder import read_config as read_config
+from keycld.training.run_folder import read_verdict as read_verdict
 from keycld.training.train import finished as finished
 from keycld.training.train import load_run as load_run
 from keycld.training.train import train as train
@@ -26,6 +27,7 @@ __all__ = [
     "parse_config",
     "pretrained",
     "read_config",
+    "read_verdict",
     "run_folder",
     "train",
 ]

@@ -235,7 +235,10 @@ def train_stages(
             failures.append(f"{stage.name}: {failure}")
             if len(failures) == _ATTEMPTS:
                 write_verdict(folder, failures, passed=False)
-                raise KeycldError(f"training failed {_ATTEMPTS} times, the last time in stage {failures[-1]}")
+                raise KeycldError(
+                    f"training failed {_ATTEMPTS} times (`keycld report {folder}` shows each), the last time in stage "
+                    f"{failures[-1]}"
+                )
             print(f"restart      {failures[-1]}", file=sys.stderr, flush=True)
             model, data, number = fresh(_MOST_CANDIDATES * len(failures), {}), source.at(0), 0
             metrics = Metrics(folder, 0)

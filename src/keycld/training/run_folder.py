@@ -42,6 +42,8 @@ class RunConfig:
         checkpoint_seconds: time between checkpoints.
         command: the command line of the run.
         devices: number of devices that shared each batch.
+        minutes: time that the steps were shortened to; None: they were not.
+        share: of the recipe's steps; `settings` has what is left of them.
         schema_version: version of this file's format; earlier ones are migrated on reading.
     """
 
@@ -59,6 +61,8 @@ class RunConfig:
     checkpoint_seconds: float
     command: str
     devices: int = 1
+    minutes: float | None = None
+    share: float = 1.0
     schema_version: int = SCHEMA_VERSION
 
     def decides(self) -> dict[str, Any]:
@@ -188,7 +192,11 @@ def refuse_failed(folder: Path) -> None:
     """Raise KeycldError for a run whose training has failed: what it left is no model."""
     verdict = read_verdict(folder)
     if verdict is not None and not verdict["passed"]:
-        raise KeycldError(f"the training of {folder} has failed in stage {'; '.join(verdict['failures'][-1:])}")
+        raise KeycldError(
+            f"there is no model in {folder}, because its training has failed {len(verdict['failures'])} times (`keycld "
+            f"report {folder}` shows each), the last time in stage "
+            f"{'; '.join(verdict['failures'][-1:])}"
+        )
 
 
 class _Line(TypedDict):

@@ -13,12 +13,14 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from keycld._errors import KeycldError, check_seed
+from keycld._errors import KeycldError, check_minutes, check_seed
+from keycld._files import remove_orphans
 from keycld._lock import locked
 from keycld.data import DataSet, open_data, sha256
 from keycld.evaluation import frame_errors, predict, valid_prediction_time, validation_epsilon
 from keycld.models import ModelConfig, Scene, config_for
 from keycld.models.base import AbstractModel
+from keycld.training.budget import fitting_share
 from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays, read_position
 from keycld.training.devices import use_devices
 from keycld.training.loop import STEPS_PER_DISPATCH, train_stages
@@ -38,6 +40,7 @@ def train(
     *,
     seed: int = 0,
     devices: int = 1,
+    minutes: float | None = None,
     track: str = "none",
     checkpoint_seconds: float = 60.0,
     log_every: int = 25,
@@ -53,6 +56,8 @@ def train(
         seed: of weights and data order. Same seed, machine and settings: same bits.
         devices: number of devices that share the clips of each step; another number may resume the run. The losses are
             those of one device up to rounding.
+        minutes: shorten the recipe so that its steps take this time on this machine (`fitting_share`); the share is
+            measured once and stays that of the run.
         track: `"none"`, `"wandb"`, `"trackio"` or `"tensorboard"`.
         checkpoint_seconds: time between checkpoints, and about the most that a killed run loses.
         log_every: steps between lines of `metrics.jsonl`.
@@ -66,6 +71,7 @@ def train(
         KeycldError: anything that a user can fix, before the first step where possible.
     """
     check_seed(seed)
+    check_minutes(minutes)
     if log_every < 1:
         raise KeycldError(f"log_every is a number of steps, at least 1, not {log_every}.")
     keep_freed_memory()
@@ -74,6 +80,10 @@ def train(
     config = (config or config_for()).completed(dataset)
     source = dataset.training_data(seed)
     scene = make_scene(source.shape, dataset)
+    share = 1.0
+    if minutes is not None:
+        share = _known_share(folder, minutes) or fitting_share(config, scene, source.at(0), minutes, shared)
+        config = config.shortened(share)
     stages = config.stages(scene)
     for stage in stages:
         stage.sampler.check(source.at(0))
@@ -97,11 +107,16 @@ def train(
         steps_per_dispatch=STEPS_PER_DISPATCH,
         checkpoint_seconds=checkpoint_seconds,
         devices=devices,
+        minutes=minutes,
+        share=share,
         command=shlex.join(sys.argv),
     )
     with locked(folder / ".lock") as mine:
         if not mine:
             raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
+        for each in (folder, folder / "checkpoints"):
+            if each.exists():
+                remove_orphans(each)
         open_run(folder, run)
         with contextlib.closing(make_tracker(track, folder, dataclasses.asdict(run))) as tracker:
             return train_stages(
@@ -121,6 +136,14 @@ def train(
                 validate=validation_score(dataset, threshold),
                 renamed=config.RENAMED,
             )
+
+
+def _known_share(folder: Path, minutes: float) -> float | None:
+    """Return the share of a run that was shortened to the same time; None: there is none yet."""
+    if not (folder / "config.json").exists():
+        return None
+    saved = read_config(folder)
+    return saved.share if saved.minutes == minutes else None
 
 
 def load_run(run: str | Path, **settings: Any) -> tuple[AbstractModel, RunConfig]:

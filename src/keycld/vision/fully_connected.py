@@ -119,8 +119,11 @@ class DenseRenderer(AbstractRenderer):
         scale = self.stride * 2 ** len(self.blocks)
         return rows * scale, columns * scale
 
-    def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
-        """Render one frame with values in (0, 1)."""
+    def __call__(
+        self, keypoints: Float[Array, "K 2"], looks: Float[Array, "K D"] | None = None
+    ) -> Float[Array, "H W 3"]:
+        """Render one frame with values in (0, 1); it knows no looks."""
+        assert looks is None
         x = self.cells(jax.nn.relu(self.hidden(keypoints.reshape(-1))))
         x = x.reshape(*self.coarse, -1)
         for block in self.blocks:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float, Int
 
 from keycld.vision.coordinates import image_grid, spatial_softmax
@@ -19,10 +20,12 @@ class Observation(NamedTuple):
         keypoints: positions, image-plane units.
         heat_maps: the probability of each keypoint over the image; each map sums to one. None for an estimator without
             maps.
+        looks: numbers that describe how each part looks, such as its colour; None where all recordings look the same.
     """
 
     keypoints: Float[Array, "K 2"]
     heat_maps: Float[Array, "K rows columns"] | None
+    looks: Float[Array, "K D"] | None = None
 
 
 class Standardise(eqx.Module):
@@ -59,16 +62,21 @@ class AbstractEstimator(eqx.Module):
 class KeypointEstimator(AbstractEstimator):
     """The keypoint estimator of the paper (section 3, appendix A.4): one heat map for each keypoint, then eq. (8).
 
+    Where the parts look different in each recording, D more maps f describe the look of what is at each cell p. The
+    look of keypoint k with the heat map s_k is Σ_p s_k(p) tanh f(p). Ours; the paper has none.
+
     Attributes:
-        network: a U-Net from `3 · stride²` channels to K logit maps.
+        network: a U-Net from `3 · stride²` channels to K logit maps, and D maps of looks.
         standardise: applied to the frame first; None for frames as they are (the paper).
         stride: side of a heat-map cell in pixels. With 2, each 2×2 patch becomes twelve channels: no information is
             lost, the network does a quarter of the work, and the expectation of eq. (8) stays sub-pixel.
+        looks: D; 0: all recordings look the same.
     """
 
     network: AbstractUNet
     standardise: Standardise | None
     stride: int = eqx.field(static=True)
+    looks: int = eqx.field(static=True, default=0)
 
     def __call__(self, frame: Float[Array, "H W 3"]) -> Observation:
         """Estimate the keypoints of one frame with values in [0, 1]."""
@@ -76,16 +84,20 @@ class KeypointEstimator(AbstractEstimator):
 
     def reordered(self, order: Int[Array, " K"]) -> "AbstractEstimator":
         """Return the estimator whose keypoint k is what keypoint `order[k]` was."""
-        return eqx.tree_at(lambda e: e.network, self, self.network.with_outputs(order))
+        outputs = jnp.concatenate([order, len(order) + jnp.arange(self.looks)])
+        return eqx.tree_at(lambda e: e.network, self, self.network.with_outputs(outputs))
 
-    def logits(self, frame: Float[Array, "H W 3"]) -> Float[Array, "rows columns K"]:
-        """Return the maps before the softmax."""
+    def logits(self, frame: Float[Array, "H W 3"]) -> Float[Array, "rows columns maps"]:
+        """Return the K maps before the softmax, then those of looks before the tanh."""
         x = frame if self.standardise is None else self.standardise(frame)
         return self.network(space_to_depth(x, self.stride))
 
-    def locate(self, logits: Float[Array, "rows columns K"]) -> Observation:
-        """Return the keypoints and heat maps of some logits, eq. (8)."""
-        rows, columns, _ = logits.shape
+    def locate(self, logits: Float[Array, "rows columns maps"]) -> Observation:
+        """Return the keypoints, heat maps and looks of some logits, eq. (8)."""
+        rows, columns, count = logits.shape
         grid = image_grid(rows * self.stride, columns * self.stride, self.stride)
-        keypoints, maps = spatial_softmax(logits, grid)
-        return Observation(keypoints, maps.transpose(2, 0, 1))
+        keypoints, maps = spatial_softmax(logits[..., : count - self.looks], grid)
+        looks = None
+        if self.looks:
+            looks = jnp.einsum("rck,rcd->kd", maps, jnp.tanh(logits[..., count - self.looks :]))
+        return Observation(keypoints, maps.transpose(2, 0, 1), looks)

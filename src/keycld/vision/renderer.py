@@ -25,8 +25,10 @@ class AbstractRenderer(eqx.Module):
         """Height and width of the frames, pixels."""
 
     @abstractmethod
-    def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
-        """Render one frame with values in (0, 1)."""
+    def __call__(
+        self, keypoints: Float[Array, "K 2"], looks: Float[Array, "K D"] | None = None
+    ) -> Float[Array, "H W 3"]:
+        """Render one frame with values in (0, 1), of parts with these looks where they differ between recordings."""
 
     @abstractmethod
     def reordered(self, order: Int[Array, " K"]) -> "AbstractRenderer":
@@ -37,10 +39,11 @@ class Renderer(AbstractRenderer):
     """The renderer of the paper (section 3, appendix A.4).
 
     The network's input is one Gaussian map for each keypoint, eq. (9), and constant feature maps. These are learned and
-    describe the parts of the image that do not move. The output passes a logistic function.
+    describe the parts of the image that do not move. Where the parts look different in each recording, there is also
+    the map of each keypoint times each of the D numbers of its look. The output passes a logistic function.
 
     Attributes:
-        network: a U-Net from `features + K` channels to `3 · stride²`.
+        network: a U-Net from `features + K (1 + D)` channels to `3 · stride²`.
         features: the learned constant maps.
         background: see `AbstractRenderer`.
         stride: side of a cell in pixels.
@@ -59,17 +62,24 @@ class Renderer(AbstractRenderer):
         rows, columns, _ = self.features.shape
         return rows * self.stride, columns * self.stride
 
-    def __call__(self, keypoints: Float[Array, "K 2"]) -> Float[Array, "H W 3"]:
+    def __call__(
+        self, keypoints: Float[Array, "K 2"], looks: Float[Array, "K D"] | None = None
+    ) -> Float[Array, "H W 3"]:
         """Render one frame with values in (0, 1)."""
         grid = image_grid(*self.size, self.stride)
         blobs = gaussian_maps(keypoints, grid, self.sigma)
-        x = self.network(jnp.concatenate([self.features, blobs], axis=-1))
+        maps = [self.features, blobs]
+        if looks is not None:
+            maps.append((blobs[..., None] * looks[None, None]).reshape(*blobs.shape[:2], -1))
+        x = self.network(jnp.concatenate(maps, axis=-1))
         return on_background(depth_to_space(x, self.stride), self.background)
 
     def reordered(self, order: Int[Array, " K"]) -> "AbstractRenderer":
         """Return the renderer that treats keypoint k as keypoint `order[k]` was."""
-        features = self.features.shape[-1]
-        inputs = jnp.concatenate([jnp.arange(features), features + order])
+        features, count = self.features.shape[-1], len(order)
+        looks = (self.network.down[0].conv.kernel.shape[2] - features - count) // count
+        of_looks = count + (looks * order[:, None] + jnp.arange(looks)[None, :]).reshape(-1)
+        inputs = jnp.concatenate([jnp.arange(features), features + order, features + of_looks])
         return eqx.tree_at(lambda r: r.network, self, self.network.with_inputs(inputs))
 
 

@@ -240,7 +240,7 @@ def test_prediction_loss_written_out_by_hand(model, getkey):
 
     frames = np.asarray(clip.frames)
     observe = eqx.filter_jit(lambda model: jax.vmap(jax.vmap(model.observe))(clip.frames))
-    keypoints, maps = (np.asarray(leaf)[:, :, 0] for leaf in observe(model))
+    keypoints, maps = (np.asarray(leaf)[:, :, 0] for leaf in observe(model)[:2])
     rolled = np.stack([motions_of_groups(model, x, index, jnp.ones(1)) for x in keypoints])
     source_key, frame_key = jax.random.split(key)
     sampled = np.asarray(jax.random.randint(source_key, (2, 3), 0, np.array([[1, 2, 3]])))

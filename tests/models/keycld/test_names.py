@@ -58,14 +58,17 @@ def test_symmetric_keypoints_keep_their_names():
     assert name_keypoints(free, data)[0] is free
 
 
-@pytest.mark.parametrize("kind", ["keycld", "fc"])
-def test_networks_in_another_order_render_the_same_frame(kind, getkey):
-    model = config_for(kind, "fast", width=8, constraints=CHAIN).build(SCENE, getkey())
+@pytest.mark.parametrize(("kind", "looks"), [("keycld", None), ("keycld", 4), ("fc", None)])
+def test_networks_in_another_order_render_the_same_frame(kind, looks, getkey):
+    model = config_for(kind, "fast", width=8, constraints=CHAIN, looks=looks).build(SCENE, getkey())
     frame, order = jax.random.uniform(getkey(), (16, 16, 3)), jnp.array([2, 0, 1])
-    before = model.estimator(frame).keypoints
-    after = model.estimator.reordered(order)(frame).keypoints
-    np.testing.assert_allclose(after, before[order], atol=1e-6)
-    assert np.ptp(before) > 1e-4
-    rendered = model.renderer.reordered(order)(after)
-    np.testing.assert_allclose(rendered, model.renderer(before), atol=1e-5)
-    assert np.abs(model.renderer(after) - rendered).max() > 1e-5
+    before = model.estimator(frame)
+    after = model.estimator.reordered(order)(frame)
+    np.testing.assert_allclose(after.keypoints, before.keypoints[order], atol=1e-6)
+    assert np.ptp(before.keypoints) > 1e-4
+    if looks is not None:
+        np.testing.assert_allclose(after.looks, before.looks[order], atol=1e-6)
+        assert np.ptp(before.looks) > 1e-4
+    rendered = model.renderer.reordered(order)(after.keypoints, after.looks)
+    np.testing.assert_allclose(rendered, model.renderer(before.keypoints, before.looks), atol=1e-5)
+    assert np.abs(model.renderer(after.keypoints, after.looks) - rendered).max() > 1e-5

@@ -38,25 +38,27 @@ class AbstractSampler(eqx.Module):
 
 
 class RandomFrames(AbstractSampler):
-    """Independent single frames, for training an image encoder.
+    """Independent frames, for training an image encoder.
 
     Attributes:
-        batch: frames a step. Good values: 16 to 64.
+        batch: clips a step. Good values: 16 to 64.
+        together: frames of a clip, from anywhere in one trajectory.
     """
 
     batch: int = eqx.field(static=True)
+    together: int = eqx.field(static=True, default=1)
 
     def span(self) -> int:
         """Return 1."""
         return 1
 
     def __call__(self, data: Resident, key: PRNGKeyArray, step: Int[Array, ""]) -> Clip:
-        """Sample frames uniformly over all trajectories and times."""
+        """Sample frames uniformly over all trajectories and times; `index` counts from the trajectory's first frame."""
         key_trajectory, key_frame = jax.random.split(jax.random.fold_in(key, step))
         count, length = data.image.shape[:2]
         trajectory = jax.random.randint(key_trajectory, (self.batch,), 0, count)
-        start = jax.random.randint(key_frame, (self.batch,), 0, length)
-        return gather(data, trajectory, start, jnp.zeros((self.batch, 1), int), 1)
+        frame = jax.random.randint(key_frame, (self.batch, self.together), 0, length)
+        return gather(data, trajectory, jnp.zeros(self.batch, int), frame, length)
 
 
 class FrameGroups(AbstractSampler):

@@ -79,6 +79,10 @@ class KeyCLDConfig(ModelConfig):
         completed.phi  # noqa: B018  raises now if the text is wrong
         return completed
 
+    def refusal(self, source: Any) -> str | None:
+        """Return that there are no keypoints, where neither the config nor the source has any."""
+        return "no keypoints" if self.constraints is None and source.constraints is None else None
+
     def settings(self) -> dict[str, Any]:
         """Return all fields as JSON values; constraints with a Python function among them become None."""
         text = self.constraints if isinstance(self.constraints, str) else None

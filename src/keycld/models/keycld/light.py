@@ -33,6 +33,7 @@ from keycld.models.keycld.prepare import (
     fit_dynamics,
     identify_dynamics,
     judge_dynamics,
+    judge_trained,
     judge_vision,
     measure_statistics,
     measure_velocity_prior,
@@ -118,7 +119,8 @@ def _estimator(config: "FastConfig", scene: Scene, key: PRNGKeyArray, dense: boo
     standardise = Standardise(jnp.zeros((scene.height, scene.width, 3)), jnp.ones(()))
     if dense:
         return DenseEstimator((scene.height, scene.width), count, width, standardise, stride, key=key)
-    return KeypointEstimator(LightUNet(3 * stride**2, count, width, key=key), standardise, stride)
+    looks = config.looks or 0
+    return KeypointEstimator(LightUNet(3 * stride**2, count + looks, width, key=key), standardise, stride, looks)
 
 
 def _renderer(
@@ -130,7 +132,7 @@ def _renderer(
         return DenseRenderer((scene.height, scene.width), count, width, grey, stride, key=key)
     shape = (scene.height // stride, scene.width // stride, width - count)
     return Renderer(
-        LightUNet(width, 3 * stride**2, width, key=key),
+        LightUNet(width + count * (config.looks or 0), 3 * stride**2, width, key=key),
         0.1 * jax.random.normal(features, shape),
         grey,
         stride,
@@ -157,7 +159,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     vision = Stage(
         name="vision",
         steps=first.steps,
-        sampler=RandomFrames(first.batch),
+        sampler=RandomFrames(first.batch // 2, 2) if config.looks else RandomFrames(first.batch),
         loss=images,
         groups=(
             Group("estimator", lambda m: m.estimator, first.rate),
@@ -211,7 +213,10 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
     last = sequence(functools.partial(fit_dynamics, prune=config.terms is None), measure_velocity_prior)
-    prior = dataclasses.replace(joint, name="prior", steps=0, prepare=last, every=0, refresh=None, validate=True)
+    judge = functools.partial(judge_trained, reconstruction=first.worst, law=second.worst)
+    prior = dataclasses.replace(
+        joint, name="prior", steps=0, prepare=last, every=0, refresh=None, judge=judge, validate=True
+    )
     return vision, dynamics, joint, prior
 
 

@@ -24,7 +24,8 @@ class VisionLoss(AbstractLoss):
     b ∝ exp(−|x_p − x_k|²/2σ²), normalised and without gradient, keeps the heat maps single-peaked. Only DΦ enters eq.
     (6), so the values of Φ are free, but they must be constant: no dynamics can follow keypoints whose distance to the
     pivot changes with the angle (arXiv v1, Fig. 13b). Unknown pivots and directions are those that fit the batch best.
-    t = min(step / steps, 1) is the progress of the stage.
+    t = min(step / steps, 1) is the progress of the stage. Where the parts look different in each recording, a clip has
+    two frames, and each is rendered with the looks that are seen in the other: so looks cannot hide positions.
 
     Source: arXiv v1, eq. (10), for L_r; L_h after the heat-map loss of the 2024 version; U is ours.
 
@@ -66,7 +67,7 @@ class VisionLoss(AbstractLoss):
 
         Args:
             model: with an estimator, a renderer and constraints.
-            clips: one frame each, `[B, 1, H, W, 3]` in [0, 1].
+            clips: single frames, `[B, 1, H, W, 3]` in [0, 1], or pairs for a model that knows looks.
             key: not used.
             step: step of the stage, for the weights.
         """
@@ -78,7 +79,11 @@ class VisionLoss(AbstractLoss):
         fixed = _ends(model, x) & (done < self.joints)
         located = model.located(jax.lax.stop_gradient(x))
         uneven, couples = unevenness(located, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
-        rendered = jax.vmap(model.renderer)(observed.keypoints)
+        looks = observed.looks
+        if looks is not None:
+            per_clip = looks.reshape(clips.frames.shape[0], -1, *looks.shape[1:])
+            looks = jnp.roll(per_clip, 1, axis=1).reshape(looks.shape)
+        rendered = jax.vmap(model.renderer)(observed.keypoints, looks)
         terms = {
             "reconstruction": squared_error(rendered, frames),
             "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
@@ -123,8 +128,8 @@ class PredictionLoss(AbstractLoss):
     L_t is the pseudo-Huber distance between roll-outs and observed keypoints (`TrackLoss`), U_i and L_h are those of
     `VisionLoss`. L_r is the reconstruction error, eq. (10), of frames rendered from rolled-out keypoints: one random
     frame of each group of consecutive frames, because they differ little, from its own roll-out or that of an earlier
-    group, sampled uniformly. The estimator is thus trained for initial states that give good long predictions. Ours, in
-    no paper.
+    group, sampled uniformly. The estimator is thus trained for initial states that give good long predictions. Looks,
+    where recordings differ in them, are the means over the clip. Ours, in no paper.
 
     Attributes:
         track: w_t, for squared distances in image-plane units. With 3000 an error of an eighth of a pixel costs as much
@@ -166,8 +171,11 @@ class PredictionLoss(AbstractLoss):
         frame = own * model.context + jax.random.randint(frame_key, (batch, own.size), 0, model.context)
         chosen = rolled[row, source, frame].reshape(batch * own.size, -1, 2)
         target = clips.frames[row, frame].reshape(-1, height, width, 3)
+        looks = observed.looks
+        if looks is not None:
+            looks = jnp.mean(looks.reshape(batch, count, *looks.shape[1:]), axis=1).repeat(own.size, axis=0)
         terms = {
-            "reconstruction": squared_error(jax.vmap(model.renderer)(chosen), target),
+            "reconstruction": squared_error(jax.vmap(model.renderer)(chosen, looks), target),
             "track": _distance(rolled, x, self.scale),
             "constraint": jnp.sum(unevenness(model, x.reshape(batch * count, -1))[0]),
             "heat_map": _divergence(observed, (height, width), self.sigma),

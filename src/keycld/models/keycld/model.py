@@ -24,8 +24,8 @@ from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
 class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     """Keypoint estimator, dynamics of keypoints, renderer (arXiv v1, sections 2 and 3).
 
-    The state holds positions and velocities of the keypoints in image-plane units, and the constant values of Φ along
-    this trajectory.
+    The state holds positions and velocities of the keypoints in image-plane units, and what is constant along this
+    trajectory: the values of Φ and, where recordings differ in it, the looks of the parts.
 
     Attributes:
         estimator: frame → keypoints, eq. (8).
@@ -90,23 +90,30 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         return state.coordinates.x.reshape(-1, 2)
 
     def at_rest(self, keypoints: Float[Array, "K 2"]) -> State:
-        """Return the state with these keypoints and zero velocity."""
+        """Return the state with these keypoints and zero velocity; looks of zero where recordings differ in them."""
         x = keypoints.reshape(-1)
-        return State(Motion(x, jnp.zeros_like(x)), {"constants": self.constraint(x)})
+        blank = jax.eval_shape(self.observe, jax.ShapeDtypeStruct((*self.renderer.size, 3), x.dtype)).looks
+        looks = {} if blank is None else {"looks": jnp.zeros(blank.shape)}
+        return State(Motion(x, jnp.zeros_like(x)), {"constants": self.constraint(x), **looks})
 
     def render(self, state: State) -> Float[Array, "H W 3"]:
         """Render the keypoints of the state."""
-        return self.renderer(self.keypoints(state))
+        return self.renderer(self.keypoints(state), state.parameters.get("looks"))
 
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
         """Estimate the state from the keypoints of the given frames, as many as the initial state can use.
+
+        Looks are the means over the given frames.
 
         Raises:
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         check_inputs(u, self.inputs)
-        x = jax.vmap(lambda frame: self.observe(frame).keypoints.reshape(-1))(frames)
+        observed = jax.vmap(self.observe)(frames)
+        x = observed.keypoints.reshape(frames.shape[0], -1)
         state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u)
+        if observed.looks is not None:
+            state = State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)

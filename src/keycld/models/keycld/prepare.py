@@ -16,7 +16,7 @@ from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
 from keycld.models.keycld.identify import Tracks, explain, identify, refit
-from keycld.models.keycld.losses import unevenness
+from keycld.models.keycld.losses import squared_error, unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -26,6 +26,9 @@ _MEASURED = 200
 _CLOSE = 0.5
 # About how many recordings a fit observes, and a comparison of names.
 _FITTED, _COMPARED = 150, 8
+# Consecutive frames of a recording that a fit observes, at most. They tell the forces; more frames cost memory and time
+# in proportion, and tell little where nearby motions part.
+_SPAN = 80
 # All orders of so many keypoints are compared: 720.
 _MOST_ORDERED = 6
 
@@ -127,9 +130,30 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
     )
 
 
+def judge_trained(
+    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float
+) -> str | None:
+    """Return what has failed in the whole training, or None: the criteria of its first two stages, at its end.
+
+    Where the dynamics cannot follow, the stage joint may lower its loss by keypoints that leave their parts or stand
+    still.
+
+    Args:
+        model: after the last stage.
+        data: the training data.
+        terms: not used.
+        reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
+        law: `worst` of `judge_dynamics`.
+    """
+    some = range(0, len(data.u), max(1, len(data.u) // _COMPARED))
+    error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
+    seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
+    return seen or judge_dynamics(model, data, terms, worst=law)
+
+
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Cache the keypoints that the model observes in every training frame, `[N, T, 2K]`."""
-    observed, _ = _observed(model, data, len(data.u))
+    observed = jnp.stack([_observe(model, data.image[i]) for i in range(len(data.u))])
     return model, eqx.tree_at(lambda d: d.cached, data, observed, is_leaf=lambda x: x is None)
 
 
@@ -205,7 +229,7 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = _F
     """
     if model.velocity_prior is None:
         return model, data
-    x, u = _observed(model, data, trajectories)
+    x, u = _observed(model, data, trajectories, taken_up=False)
     return eqx.tree_at(lambda m: m.velocity_prior, model, _velocity_prior(model, x, u, data.dt)), data
 
 
@@ -227,11 +251,23 @@ def _report(model: KeyCLD, pixels: float) -> None:
     print(f"dynamics     affine V{acting}; fitted paths are {pixels:.2f} pixels from the keypoints", flush=True)
 
 
-def _observed(model: Any, data: Resident, trajectories: int, first: int = 0) -> tuple[jax.Array, jax.Array]:
-    """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs."""
+def _observed(
+    model: Any, data: Resident, trajectories: int, first: int = 0, *, taken_up: bool = True
+) -> tuple[jax.Array, jax.Array]:
+    """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs.
+
+    Long recordings are observed for a while only: `taken_up`, from frames on that are spread over them, else from
+    their first frame on.
+    """
     step = max(1, len(data.u) // trajectories)
-    some = range(first % step, len(data.u), step)
-    return jnp.stack([_observe(model, data.image[i]) for i in some]), data.u[some.start : some.stop : some.step]
+    some, length = range(first % step, len(data.u), step), data.image.shape[1]
+    span = min(_SPAN, length)
+    begin = np.linspace(0, (length - span) * taken_up, len(some)).round().astype(int)
+    x = [_observe(model, data.image[i][k : k + span]) for i, k in zip(some, begin, strict=True)]
+    u = data.u[some.start : some.stop : some.step]
+    if u.ndim == 3:
+        u = jnp.stack([each[k : k + span] for each, k in zip(u, begin, strict=True)])
+    return jnp.stack(x), u
 
 
 def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:
@@ -265,6 +301,13 @@ def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
     return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
+
+
+@eqx.filter_jit
+def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
+    """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
+    frames = image.astype(jnp.float32) / 255.0
+    return squared_error(jax.vmap(lambda frame: model.renderer(model.observe(frame).keypoints))(frames), frames)
 
 
 @eqx.filter_jit

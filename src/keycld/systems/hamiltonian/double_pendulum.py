@@ -87,6 +87,7 @@ class DoublePendulum(AbstractDoublePendulum):
     half_width = 2.0 + disc_radius(0.5)
     hues = 2
     keypoints = ("inner", "outer")
+    looks_differ = True
 
 
 @register

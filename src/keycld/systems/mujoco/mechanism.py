@@ -40,6 +40,10 @@ class AbstractWatchedMechanism(AbstractMechanism):
         The first frame is the state one frame **after** `state`.
         """
 
+    @abc.abstractmethod
+    def energies(self, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return kinetic and potential energy `[T]`, joules, of states `[T, d]`; height is zero at z = 0."""
+
     @property
     def control_modes(self) -> tuple[str, ...]:
         """All modes; `"under"` and the names of single motors exist where there are two."""

@@ -4,7 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from keycld.models.config import at_least_one
+from keycld.models.config import ModelConfig, at_least_one
 from keycld.models.keycld.config import MODELS, KeyCLDConfig
 from keycld.models.registry import register_preset
 from keycld.models.scene import Scene
@@ -94,6 +94,7 @@ class JointStage:
     """Width of that Gaussian, image-plane units."""
 
 
+_LOOKS = 4
 _FLAT = {
     **{f"vision_{name}": f"vision.{name}" for name in ("steps", "batch", "rate")},
     **{name: f"vision.{name}" for name in ("candidates", "trial")},
@@ -136,6 +137,9 @@ class FastConfig(KeyCLDConfig):
     default those that the motion asks for."""
     input_width: int = 0
     """Width of a perceptron in g. 0: g is affine."""
+    looks: int | None = None
+    """Numbers that describe how each part looks, such as its colour, where recordings differ in it; by default 4 where
+    the system says that they do, else none."""
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
     velocity_prior: bool = True
@@ -158,6 +162,21 @@ class FastConfig(KeyCLDConfig):
         at_least_one(self.vision, "candidates", "trial", "batch")
         at_least_one(self.dynamics, "batch")
         at_least_one(self.joint, "batch", "fit_every")
+
+    def completed(self, source: Any = None) -> "ModelConfig":
+        """Return the config with its constraints, and with looks where those of the source's recordings differ."""
+        config = super().completed(source)
+        assert isinstance(config, FastConfig)
+        if config.looks is None and source is not None and source.looks_differ and self.model != "fc":
+            return dataclasses.replace(config, looks=_LOOKS)
+        return config
+
+    def settings(self) -> dict[str, Any]:
+        """Return all fields as JSON values, without looks where nothing says that they differ: older records hold."""
+        found = super().settings()
+        if found["looks"] is None:
+            del found["looks"]
+        return found
 
     @property
     def context(self) -> int:
