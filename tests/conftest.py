@@ -3,34 +3,33 @@
 import fcntl
 import gc
 import os
+import sys
 from pathlib import Path
 
-import jax
 import pytest
-
-from keycld.models import config_for
-from keycld.training import finished, train
-from scenes import TINY, write_data
-
-# Compiled programs are shared between processes and runs: most of the suite's time would be compilation.
-CACHE = Path(__file__).parent.parent / ".pytest_cache" / "jax"
-os.environ["JAX_COMPILATION_CACHE_DIR"] = str(CACHE)
-os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
 
 # Most of a test's time is compilation, of programs that run once: half of it with fewer passes of LLVM and without
 # MLIR's fusions, a seventh less in one piece, because all cores are busy. (At level 0 gradients of the networks are
 # NaN.) jaxlib 0.10 to 0.12 know these flags; one that does not dies.
 QUICK = (
-    "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
+    "--xla_backend_optimization_level=1 --xla_llvm_disable_expensive_passes=true "
+    "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
 )
-os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {QUICK}"
+
+# As variables, for the child processes too; and the process that only hands out tests need not import JAX.
+assert "jax" not in sys.modules
+os.environ |= {
+    # Compiled programs are shared between processes and runs.
+    "JAX_COMPILATION_CACHE_DIR": str(Path(__file__).parent.parent / ".pytest_cache" / "jax"),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    # Ten lines of Python for each operation of a program, which nobody reads, are a tenth of the time.
+    "JAX_TRACEBACK_IN_LOCATIONS_LIMIT": "0",
+    "JAX_NUMPY_RANK_PROMOTION": "raise",
+    "XLA_FLAGS": f"{os.environ.get('XLA_FLAGS', '')} {QUICK}",
+}
 
 # Tracing makes so many small objects that looking for garbage after every 700 of them costs a twentieth of the time.
 gc.set_threshold(200_000, 20, 20)
-
-jax.config.update("jax_compilation_cache_dir", str(CACHE))
-jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
-jax.config.update("jax_numpy_rank_promotion", "raise")
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -39,12 +38,16 @@ def few_programs():
     yield
     maps = Path("/proc/self/maps")
     if maps.exists() and len(maps.read_bytes().splitlines()) > 15_000:
+        import jax
+
         jax.clear_caches()
 
 
 @pytest.fixture
 def getkey():
     """A function that gives a fresh random key at each call, the same ones in every run."""
+    import jax
+
     keys = iter(jax.random.split(jax.random.key(20220622), 1000))
     return lambda: next(keys)
 
@@ -55,6 +58,10 @@ def trained(tmp_path_factory):
 
     Made once for all processes of a session: the first one that asks trains, another one waits.
     """
+    from keycld.models import config_for
+    from keycld.training import finished, train
+    from scenes import TINY, write_data
+
     base = tmp_path_factory.getbasetemp()
     root = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "trained"
     root.mkdir(exist_ok=True)

@@ -142,6 +142,21 @@ def test_the_table(place):
     assert "acrobot-keycld-1   stale" in text and "acrobot-fc-2       missing" in text
 
 
+def test_laws_have_tables_where_they_were_measured(place):
+    chosen = suite_named("zoo").select(only="damped", seeds=(0, 1))
+    by_name = {experiment.name: experiment for experiment in chosen}
+    for seed, found in ((0, 0.15), (1, 0.17)):
+        experiment = by_name[f"zoo/damped_pendulum-keycld-{seed}"]
+        result = record(experiment, place, 1.0)
+        result["scores"]["test@50"]["state"] = {"acceleration": 0.01, "friction": {"found": found, "true": 0.154}}
+        write_json(place.result(experiment), result)
+    tables_by_name = {table.name: table for table in tables(chosen, place)}
+    values = {row.name: tables_by_name["friction"].texts(row) for row in tables_by_name["friction"].rows}
+    assert list(tables_by_name["friction"].columns) == ["zoo/damped_double_pendulum", "zoo/damped_pendulum"]
+    assert values == {"KeyCLD": ["–", "0.160 ± 0.014 (2)"], "true": ["–", "0.154"]}
+    assert tables_by_name["acceleration"].rows[0].cells[1] == pytest.approx((0.01, 0.0, 2))
+
+
 def test_the_journal_version_has_no_published_rows(place):
     chosen = suite_named("keycld-2024").select(only="cartpole")
     record(chosen[0], place, 0.9)

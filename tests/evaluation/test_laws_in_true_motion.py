@@ -1,4 +1,4 @@
-"""A law that is known exactly, held to the true motion of a damped pendulum."""
+"""Laws that are known exactly, held to true motions."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -53,3 +53,29 @@ def test_friction_of_a_hinge_has_the_rate_c_over_j(rng, friction):
     assert rates is not None
     np.testing.assert_allclose(rates["true"], FRICTION / INERTIA, rtol=1e-6)
     np.testing.assert_allclose(rates["found"], friction / INERTIA, rtol=1e-3, atol=1e-6)
+
+
+def free_points(count):
+    """A law without any force."""
+    law = ConstrainedLagrangian(PointMasses.ones(count), SumPotential(jnp.zeros(2 * count), {}))
+    return Known(MechanicalDynamics(law, Rattle(1)))
+
+
+@pytest.mark.parametrize("name", ["acrobot", "zoo/spring_cart", "zoo/four_bar", "zoo/two_bodies"])
+def test_without_friction_the_rate_is_zero_in_every_state(rng, name):
+    """Springs, closed loops, attraction and motors change no energy, or only give it where an input acts."""
+    system = get(name)
+    state = rng.uniform(-1, 1, (40, len(system.state_names)))
+    rates = friction_rates(free_points(len(system.keypoints)), system, (system.landmarks(state), state), state)
+    assert rates is not None and abs(rates["true"]) < 1e-4 and rates["found"] == 0.0
+
+
+def test_viscous_and_dry_friction_add_up(rng):
+    """A bead of 0.5 kg with 0.08 N s/m and 0.06 N, which takes 0.06 |v| watts at speeds far above 0.05 m/s."""
+    system, speed = get("zoo/tilted_bead"), 1.5
+    state = np.stack([rng.uniform(0, 0.5, 40), np.full(40, speed)], axis=1)
+    rates = friction_rates(free_points(1), system, (system.landmarks(state), state), state)
+    later = np.array([system.simulate(each, np.zeros(0), 1).state[0, 1] for each in state])
+    wanted = 0.08 / 0.5 + 0.06 * np.mean(later) / (0.5 * np.mean(later**2))
+    assert rates is not None
+    np.testing.assert_allclose(rates["true"], wanted, rtol=1e-4)

@@ -1,10 +1,9 @@
 """Fig. 3 of arXiv v1 from recorded results: error over time of all models, one panel for each data set."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.suites import MODEL_TITLES, model_order, model_title
@@ -12,11 +11,14 @@ from keycld.benchmarks.table import data_labels, done_results
 from keycld.drawing import INK, Curve, Limit, panels_figure
 from keycld.evaluation import METRICS, Protocol, threshold_text
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 # A model has the same colour in all figures, even if other models are missing.
 _COLOURS = dict(zip(MODEL_TITLES, INK.cycle, strict=False))
 
 
-def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Protocol) -> Figure | None:
+def error_figure(experiments: Sequence[Experiment], place: Place, protocol: Protocol) -> "Figure | None":
     """Plot the error over time, one curve for each model, with the headline threshold dashed.
 
     A curve is the mean over trajectories and then over seeds; its band goes from the 10th to the 90th percentile of the

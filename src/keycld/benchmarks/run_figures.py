@@ -1,11 +1,10 @@
 """What one trained model has learned, from its stored evaluation: the layouts of the paper's Figs. 1, 5 and 8 to 12."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
-from matplotlib.figure import Figure
 
 from keycld.drawing import (
     Curve,
@@ -19,6 +18,9 @@ from keycld.drawing import (
     strip_figure,
 )
 from keycld.evaluation import Evaluation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STRIP_PICTURES = 9
 _V = "V, arb. units"
@@ -79,7 +81,7 @@ class Potential(NamedTuple):
 
     name: str
     vary: tuple[str, ...]
-    figure: Figure
+    figure: "Figure"
 
 
 def potential_figures(sweeps: Mapping[str, np.ndarray]) -> list[Potential]:
@@ -116,7 +118,7 @@ def grid_pictures(sweeps: Mapping[str, np.ndarray], name: str) -> UInt8[np.ndarr
 
 def _path_figure(
     sweeps: Mapping[str, np.ndarray], name: str, values: Shaped[np.ndarray, "n"], label: str, span: float
-) -> Figure:
+) -> "Figure":
     picked = np.round(np.linspace(0, len(values) - 1, _STRIP_PICTURES)).astype(int)
     keypoints = sweeps[f"{name}/keypoints"][picked].astype(np.float64)
     pictures = overlay_keypoints(sweeps[f"{name}/image"][picked], keypoints, scale=3)
@@ -130,7 +132,7 @@ def _path_figure(
 
 def _grid_figure(
     sweeps: Mapping[str, np.ndarray], name: str, values: Float[np.ndarray, "n 2"], labels: Sequence[str]
-) -> Figure:
+) -> "Figure":
     rows, columns = sweeps[f"{name}/shape"]
     potential = sweeps[f"{name}/potential"]
     table = (potential - potential.min()).reshape(rows, columns)

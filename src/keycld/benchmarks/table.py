@@ -27,7 +27,7 @@ class Cell(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A row of a table; `kind` is `ours`, `trivial` or `paper`; `note` stands after the last cell."""
+    """A row of a table; `kind` is `ours`, `trivial`, `paper` or `true`; `note` stands after the last cell."""
 
     name: str
     kind: str
@@ -40,7 +40,7 @@ class Table:
     """Scores under one protocol and threshold: one column for each data set, one row for each model.
 
     Attributes:
-        name: for files: `test@50`, `test@50 ε/4`, `minutes`.
+        name: for files: `test@50`, `test@50 ε/4`, `acceleration`, `friction`, `minutes`.
         title: what the numbers are.
         columns: the data sets.
         rows: our models, trivial predictors, published scores.
@@ -68,7 +68,7 @@ def over_seeds(values: Sequence[float]) -> Cell:
 
 
 def seed_tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
-    """Return one table for each protocol and threshold, and one of the training times.
+    """Return one table for each protocol and threshold, those of the learned laws, and one of the training times.
 
     Stale results are left out (`status_of`).
     """
@@ -80,7 +80,7 @@ def seed_tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table,
     minutes = _ours(experiments, results, lambda result: result["training"]["seconds"] / 60.0)
     columns = data_labels(experiments)
     title = "minutes of training, wall-clock; mean ± standard deviation over seeds (number of seeds)"
-    return (*found, Table("minutes", title, columns, minutes, digits=1))
+    return (*found, *_laws(experiments, results), Table("minutes", title, columns, minutes, digits=1))
 
 
 def done_results(experiments: Sequence[Experiment], place: Place) -> list[tuple[Experiment, dict[str, Any]]]:
@@ -135,6 +135,24 @@ def _scores(
     return Table(protocol.name + ("" if headline else f" {word}"), title, columns, rows)
 
 
+def _laws(experiments: Sequence[Experiment], results: Sequence[tuple[Experiment, dict[str, Any]]]) -> list[Table]:
+    """Return how exact the learned accelerations and friction are, as far as the first protocol measured them."""
+    name, columns, found = experiments[0].protocols[0].name, data_labels(experiments), []
+    states = [(each, result["scores"][name].get("state", {})) for each, result in results]
+    moving = [(each, state["acceleration"]) for each, state in states if state.get("acceleration") is not None]
+    if moving:
+        title = "error of the learned acceleration along true motions, as a share of the true one, root mean squares"
+        found.append(Table("acceleration", title, columns, _ours(experiments, moving, lambda error: error)))
+    slowing = [(each, state["friction"]) for each, state in states if state.get("friction")]
+    slowing = [(each, rates) for each, rates in slowing if None not in rates.values()]
+    if slowing:
+        true = {each.data.label: Cell(rates["true"], None, 0) for each, rates in slowing}
+        rows = _ours(experiments, slowing, lambda rates: rates["found"])
+        rows += (Row("true", "true", tuple(map(true.get, columns))),)
+        found.append(Table("friction", "rate at which friction takes energy, 1/s", columns, rows))
+    return found
+
+
 def _published(experiment: Experiment, protocol: Protocol) -> bool:
     """Return whether Table 1 of arXiv v1 has scores for this: the same data, two of 50 frames given."""
     same = protocol_named(f"{protocol.split}@50")
@@ -143,8 +161,8 @@ def _published(experiment: Experiment, protocol: Protocol) -> bool:
 
 def _ours(
     experiments: Sequence[Experiment],
-    results: Sequence[tuple[Experiment, dict[str, Any]]],
-    value: Callable[[dict[str, Any]], float],
+    results: Sequence[tuple[Experiment, Any]],
+    value: Callable[[Any], float],
 ) -> tuple[Row, ...]:
     values: dict[tuple[str, str], list[float]] = {}
     for experiment, result in results:

@@ -1,19 +1,20 @@
 """Matplotlib figures without a window or global state: curves, histograms, maps, strips of pictures."""
 
+import contextlib
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator, MultipleLocator
 
 from keycld.drawing.frames import sheet
 from keycld.drawing.palette import INK
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 _STYLE: Any = {
     "font.size": 9.0,
@@ -57,6 +58,7 @@ class Curve:
         dashed: for what is not a result (baselines, references).
         low: lower edge of the band `[n]`.
         high: upper edge of the band `[n]`.
+        points: plot points without a line between them.
     """
 
     x: Shaped[np.ndarray, "n"]
@@ -66,6 +68,7 @@ class Curve:
     dashed: bool = False
     low: Shaped[np.ndarray, "n"] | None = None
     high: Shaped[np.ndarray, "n"] | None = None
+    points: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,6 +86,17 @@ class Limit:
     colour: str = INK.limit
 
 
+@contextlib.contextmanager
+def _new_figure(width: float, height: float) -> Iterator["Figure"]:
+    """Yield an empty figure, inches, in our style while it is filled."""
+    # Here, as everywhere, Matplotlib is imported when something is drawn: it takes most of a second.
+    import matplotlib
+    from matplotlib.figure import Figure
+
+    with matplotlib.rc_context(_STYLE):
+        yield Figure(figsize=(width, height), layout="constrained")
+
+
 def curves_figure(
     curves: Sequence[Curve],
     x_label: str,
@@ -91,10 +105,9 @@ def curves_figure(
     limits: Sequence[Limit] = (),
     logarithmic: bool = False,
     size: tuple[float, float] = (5.4, 3.2),
-) -> Figure:
+) -> "Figure":
     """Plot curves with bands over one axis, with dashed limits (the layout of the KeyCLD paper's Fig. 3)."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+    with _new_figure(*size) as figure:
         axes = figure.add_subplot()
         _plot(axes, curves, logarithmic)
         if any(curve.label for curve in curves):
@@ -116,7 +129,7 @@ def panels_figure(
     marks: Sequence[tuple[float, str]] = (),
     limits: Sequence[Limit] = (),
     panel_size: tuple[float, float] = (2.9, 1.9),
-) -> Figure:
+) -> "Figure":
     """Plot small multiples: one titled panel for each entry, on one horizontal axis.
 
     Args:
@@ -131,8 +144,7 @@ def panels_figure(
     """
     columns = min(columns, len(panels))
     rows = -(-len(panels) // columns)
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(columns * panel_size[0], rows * panel_size[1] + 0.25), layout="constrained")
+    with _new_figure(columns * panel_size[0], rows * panel_size[1] + 0.25) as figure:
         grid = figure.subplots(rows, columns, squeeze=False, sharex=True)
         for k, axes in enumerate(grid.flat):
             if k >= len(panels):
@@ -170,10 +182,11 @@ def histogram_figure(
     bins: int = 20,
     limits: Sequence[Limit] = (),
     size: tuple[float, float] = (5.4, 3.2),
-) -> Figure:
+) -> "Figure":
     """Plot how many of `values` fall in each of `bins` equal bins of `span`, with dashed vertical limits."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+    from matplotlib.ticker import MaxNLocator
+
+    with _new_figure(*size) as figure:
         axes = figure.add_subplot()
         _, edges, _ = axes.hist(values, bins=bins, range=span, color=INK.one, rwidth=0.88)
         for limit in limits:
@@ -198,10 +211,11 @@ def map_figure(
     *,
     spacings: tuple[float | None, float | None] = (None, None),
     size: tuple[float, float] = (5.4, 4.5),
-) -> Figure:
+) -> "Figure":
     """Plot a function of two variables as colours with contour lines; `values[i, j]` is at (`x[j]`, `y[i]`)."""
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
+    from matplotlib.ticker import MultipleLocator
+
+    with _new_figure(*size) as figure:
         axes = figure.add_subplot()
         mesh = axes.pcolormesh(x, y, values, cmap="viridis", shading="nearest", rasterized=True)
         if np.ptp(values) > 0.0:
@@ -226,17 +240,18 @@ def strip_figure(
     x_spacing: float | None = None,
     width: float = 11.0,
     curve_height: float = 1.8,
-) -> Figure:
+) -> "Figure":
     """Plot curves below a strip of pictures (the layout of the KeyCLD paper's Figs. 8 to 12).
 
     The pictures, two or more, are evenly spaced: the first above the lowest x, the last above the highest.
     """
+    from matplotlib.ticker import MultipleLocator
+
     number = len(thumbnails)
     low, high = (float(edge(curves[0].x)) for edge in (np.min, np.max))
     margin = (high - low) / (number - 1) / 2.0
     strip_height = width / number * thumbnails.shape[1] / thumbnails.shape[2]
-    with matplotlib.rc_context(_STYLE):
-        figure = Figure(figsize=(width, curve_height + strip_height + 0.4), layout="constrained")
+    with _new_figure(width, curve_height + strip_height + 0.4) as figure:
         above, below = figure.subplots(2, 1, height_ratios=(1.05 * strip_height, curve_height))
         above.imshow(sheet([thumbnails], every=1, gap=2), interpolation="nearest", aspect="equal")
         above.set_anchor("S")
@@ -252,11 +267,13 @@ def strip_figure(
         return figure
 
 
-def figure_svg(figure: Figure, name: str) -> str:
+def figure_svg(figure: "Figure", name: str) -> str:
     """Convert a figure to an `<svg>` element for a page, with its words as text.
 
     `name` keeps the identifiers of several figures in one page apart.
     """
+    import matplotlib
+
     settings: Any = {"svg.fonttype": "none", "svg.hashsalt": name, "figure.facecolor": "none"}
     with matplotlib.rc_context(settings), io.StringIO() as buffer:
         figure.savefig(buffer, format="svg", facecolor="none", metadata={"Date": None})
@@ -264,7 +281,7 @@ def figure_svg(figure: Figure, name: str) -> str:
     return text[text.index("<svg") :]
 
 
-def _plot_limit(axes: Axes, limit: Limit) -> None:
+def _plot_limit(axes: "Axes", limit: Limit) -> None:
     axes.axhline(limit.value, color=limit.colour, linewidth=1.0, linestyle=(0, (4, 3)))
     axes.annotate(
         limit.label, (1.0, limit.value), (3, 0), xycoords=("axes fraction", "data"),
@@ -272,7 +289,7 @@ def _plot_limit(axes: Axes, limit: Limit) -> None:
     )  # fmt: skip
 
 
-def _plot(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
+def _plot(axes: "Axes", curves: Sequence[Curve], logarithmic: bool) -> None:
     for k, curve in enumerate(curves):
         colour = curve.colour or INK.cycle[k % len(INK.cycle)]
         if curve.low is not None and curve.high is not None:
@@ -280,12 +297,12 @@ def _plot(axes: Axes, curves: Sequence[Curve], logarithmic: bool) -> None:
         style = (0, (4, 2)) if curve.dashed else "-"
         weight = 1.2 if curve.dashed else 1.6
         # Few points get markers: a single one has no line.
-        marker = "o" if np.count_nonzero(np.isfinite(curve.y)) <= 8 else ""
+        marker = "o" if curve.points or np.count_nonzero(np.isfinite(curve.y)) <= 8 else ""
         axes.plot(
             curve.x,
             curve.y,
             color=colour,
-            linestyle=style,
+            linestyle="none" if curve.points else style,
             linewidth=weight,
             marker=marker,
             markersize=4.0,

@@ -3,17 +3,20 @@
 import io
 import subprocess
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import imageio.v3
 import numpy as np
 from jaxtyping import Shaped, UInt8
-from matplotlib.figure import Figure
 from PIL import Image, UnidentifiedImageError
 
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg
 from keycld._files import read_bytes, replacing, writing_error
 from keycld.drawing.frames import as_uint8, enlarge
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Of a frame of a movie, after enlargement.
 _LONGEST_SIDE = 8192
@@ -96,7 +99,7 @@ def _even(frame: np.ndarray) -> np.ndarray:
     return np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
 
 
-def save_figure(path: str | Path, figure: Figure, dpi: float = 160.0) -> None:
+def save_figure(path: str | Path, figure: "Figure", dpi: float = 160.0) -> None:
     """Write a matplotlib figure in the format of the suffix (.png, .svg, .pdf)."""
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=dpi)

@@ -4,8 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Shaped, UInt8
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from keycld._errors import KeycldError
 
@@ -127,6 +125,9 @@ def _stacked(parts: Sequence[np.ndarray], gap: int, axis: int) -> np.ndarray:
 
 def text_strip(text: str, width: int, height: int = 22) -> UInt8[np.ndarray, "height width 3"]:
     """Make a dark strip with a centred text."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(width / 100.0, height / 100.0), dpi=100.0)
     figure.patch.set_facecolor("#{:02x}{:02x}{:02x}".format(*GAP_COLOUR))
     figure.text(0.5, 0.5, text, ha="center", va="center", color="white", fontsize=min(9.0, 0.3 * height + 2.0))

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.spatial import KDTree
 
 
 def angular(attributes: Mapping[str, Any]) -> Bool[np.ndarray, "m"]:
@@ -35,4 +34,6 @@ def difference(
 
 def nearest(queries: Float[np.ndarray, "n f"], points: Float[np.ndarray, "m f"]) -> Int[np.ndarray, "n"]:
     """Return the index of the point nearest to each query."""
+    from scipy.spatial import KDTree  # not at every start: it takes most of a second
+
     return np.asarray(KDTree(points).query(queries)[1])

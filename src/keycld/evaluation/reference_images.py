@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
-from scipy.spatial import KDTree
 
 from keycld.evaluation.geometry import angular, embed, positions
 from keycld.evaluation.metrics import PixelMoments
 from keycld.evaluation.reading import blocks, coprime, evenly, visited
 
 if TYPE_CHECKING:
+    from scipy.spatial import KDTree
+
     from keycld.data import DataSet
 
 _MOST_TRAJECTORIES = 2_000
@@ -40,10 +41,12 @@ class References:
     sources: dict[str, int]
 
     @functools.cached_property
-    def tree(self) -> KDTree | None:
+    def tree(self) -> "KDTree | None":
         """The training frames' true configurations, to find the nearest; None where the data has no states."""
         if self.states is None or self.angles is None:
             return None
+        from scipy.spatial import KDTree  # not at every start: it takes most of a second
+
         return KDTree(embed(positions(self.states), self.angles))
 
     def retrieve(self, q: Float[np.ndarray, "N T m"]) -> UInt8[np.ndarray, "N T H W 3"]:

@@ -6,7 +6,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 import numpy as np
 
 from keycld._files import checked_name
-from keycld._records import Name, Unexpected, checked
+from keycld._records import Name, NumberText, Unexpected, checked
 from keycld.evaluation.image_scores import ERROR_ARRAYS
 
 Number = float | None
@@ -30,7 +30,7 @@ class _Vpt(TypedDict):
 
 
 class _Baseline(TypedDict):
-    vpt: dict[str, _Vpt]
+    vpt: dict[NumberText, _Vpt]
     mse: Number
     normalised_error: NotRequired[dict[str, Number]]
     table_units: NotRequired[dict[str, Number]]
@@ -239,7 +239,8 @@ def _error_arrays(scores: Mapping[str, Any]) -> list[str]:
 def required(scores: Mapping[str, Any]) -> set[str]:
     """Return the names of the arrays that must be next to these scores."""
     if "law" in scores:
-        return {"frames", "goal_frame", "x", "good", "input", "tilts"}
+        shaped = {"kinetic", "desired"} if "passivity" in scores else set()
+        return {"frames", "goal_frame", "x", "good", "input", "tilts", *shaped}
     if "skeleton" in scores:
         return {"frames", "shown_index", "error", *_MOTIONS}
     if "protocol" not in scores:
@@ -259,6 +260,7 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
         index, horizon = arrays["shown_index"], scores["protocol"]["horizon"]
         whole = len(index) > 1 and index.min() >= 0 and index.max() < horizon and np.all(np.diff(index) > 0)
         _expect(bool(whole) and len(arrays["truth"]) > 0, "shown_index")
+        _expect(np.all(np.isfinite(arrays["time"])), "time")
     elif "skeleton" in scores:
         index = arrays["shown_index"]
         _expect(len(index) > 0 and index.min() >= 0 and index.max() < scores["frames"], "shown_index")
@@ -283,4 +285,5 @@ def _check_sweeps(arrays: Mapping[str, np.ndarray]) -> None:
         _expect(parts["shape"].shape == (count,) and parts["shape"].dtype.kind in "iu", name)
         _expect(int(np.prod(parts["shape"], dtype=float)) == n and min(parts["shape"]) > 0, name)
         _expect(all(parts[each].dtype.kind == "f" for each in ("values", "potential", "keypoints")), name)
+        _expect(np.all(np.isfinite(parts["values"])), name)
         _expect(parts["keypoints"].ndim == 3 and parts["image"].shape[-1] == 3, name)

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -65,6 +64,8 @@ def adaptive_rollout(
 
 def _across(field: Callable, coordinates: PyTree, u: Float[Array, "l"], dt: Scalar, rtol: float, atol: float) -> PyTree:
     """Return the coordinates after one frame interval; NaN where the solver cannot follow."""
+    import diffrax  # not at every start: it takes half a second, and few use it
+
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(field),
         diffrax.Dopri5(),

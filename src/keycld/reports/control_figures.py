@@ -1,9 +1,9 @@
 """A closed-loop run as a movie, as a strip of pictures (Fig. 5 of arXiv v1) and as curves."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from keycld.benchmarks import control_strip
 from keycld.drawing import (
@@ -19,6 +19,9 @@ from keycld.drawing import (
     side_by_side,
 )
 from keycld.evaluation import Evaluation
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _FRAMES_PER_SECOND = 25.0
 
@@ -47,7 +50,7 @@ def trial_frames(result: Evaluation, scale: int = 4) -> np.ndarray:
     return overlay_timeline(side_by_side([pictures, goal]), result.arrays["good"][0][index], height=2 * scale)
 
 
-def trials_figure(result: Evaluation) -> Figure:
+def trials_figure(result: Evaluation) -> "Figure":
     """Plot the tilts of all trials, the inputs of the first, and its energies where the controller shapes them."""
     dt = result.scores["dt"]
     tilts, inputs = np.degrees(result.arrays["tilts"]), result.arrays["input"][0]

@@ -1,7 +1,8 @@
 """Figures of a run from stored arrays."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-from matplotlib.figure import Figure
 
 from keycld.drawing import (
     INK,
@@ -13,8 +14,11 @@ from keycld.drawing import (
 )
 from keycld.evaluation import METRICS, Evaluation, headline_vpt, threshold_text
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def error_figure(result: Evaluation) -> Figure:
+
+def error_figure(result: Evaluation) -> "Figure":
     """Plot the error over time with a band from 10th to 90th percentile, baselines and threshold (Fig. 3).
 
     The baseline "mean image" is left out, because its squared error is ε.
@@ -42,7 +46,7 @@ def error_figure(result: Evaluation) -> Figure:
     return figure
 
 
-def vpt_figure(result: Evaluation) -> Figure:
+def vpt_figure(result: Evaluation) -> "Figure":
     """Plot the histogram of valid prediction times, with the means of the model and of the best baseline."""
     vpt = result.vpt
     first, stop = result.scores["part"]
@@ -60,7 +64,7 @@ def vpt_figure(result: Evaluation) -> Figure:
     )
 
 
-def coordinate_figure(result: Evaluation) -> Figure:
+def coordinate_figure(result: Evaluation) -> "Figure":
     """Plot the error of each true position along the roll-out: median with a band from 10th to 90th percentile."""
     errors = result.arrays["coordinate_error"]
     frames = np.arange(errors.shape[1])
@@ -72,7 +76,7 @@ def coordinate_figure(result: Evaluation) -> Figure:
     return panels_figure(panels, "frame", columns=2, panel_size=size)
 
 
-def energy_figure(result: Evaluation) -> Figure:
+def energy_figure(result: Evaluation) -> "Figure":
     """Plot kinetic, potential and total energy along up to three roll-outs without input."""
     time = result.arrays["time"]
     panels = []
@@ -88,7 +92,7 @@ def energy_figure(result: Evaluation) -> Figure:
     return panels_figure(panels, "seconds", columns=3, panel_size=(3.6, 2.5))
 
 
-def deviation_figure(result: Evaluation) -> Figure:
+def deviation_figure(result: Evaluation) -> "Figure":
     """Plot the largest |Φ(x) − constants| of the stored roll-outs over time."""
     deviation = np.maximum(result.arrays["deviation"].max(axis=0), 1e-9)
     curve = Curve(result.arrays["time"], deviation)

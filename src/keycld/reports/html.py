@@ -5,14 +5,16 @@ import html
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import imageio.v3
 import numpy as np
 from jaxtyping import UInt8
-from matplotlib.figure import Figure
 
 from keycld.drawing import INK, figure_svg
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _TYPES = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
 
@@ -57,7 +59,7 @@ def movie(path: Path, still: UInt8[np.ndarray, "H W 3"], fallback: Path | None, 
     return video + f'<img class="instead" hidden src="{data_uri(fallback)}" alt="{text(description)}">'
 
 
-def chart(figure: Figure, name: str) -> str:
+def chart(figure: "Figure", name: str) -> str:
     """Return a matplotlib figure as SVG in the colours and the font of the page."""
     # The rules of its own style element are in style.css: the page allows no other.
     svg = re.sub(r"<(metadata|style)\b.*?</\1>\s*", "", figure_svg(figure, name), flags=re.S)

@@ -1,12 +1,14 @@
 """Training curves from metrics.jsonl."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from keycld.drawing import Curve, panels_figure
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _NOT_TERMS = {"step", "seconds", "cpu_seconds", "frames"}
 # Beyond this an axis overflows; a term that broke is not plotted either.
@@ -23,7 +25,7 @@ def terms(metrics: Sequence[Mapping[str, Any]]) -> dict[str, list[Mapping[str, A
     return {name: found[name] for name in sorted(found, key=lambda name: (name != "loss", "vpt" in name))}
 
 
-def training_figure(metrics: Sequence[Mapping[str, Any]]) -> Figure | None:
+def training_figure(metrics: Sequence[Mapping[str, Any]]) -> "Figure | None":
     """Plot each term with more than one value over minutes, with stage boundaries as hairlines; None without any."""
     series = {name: lines for name, lines in terms(metrics).items() if len(lines) > 1}
     if not series:

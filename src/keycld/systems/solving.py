@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-import diffrax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -28,6 +27,8 @@ def solve(
 
     Good values: a tolerance of 1e-10 keeps energies to 1e-7 over 256 frames of the toy sets, 1e-12 the games.
     """
+    import diffrax  # not at every start: it takes half a second, and few use it
+
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda _, y, __: derivative(y)),
         diffrax.Dopri8(),
