@@ -59,7 +59,7 @@ def test_the_same_command_resumes_and_other_clips_need_another_run(place, capsys
     before = (place / "run" / "data" / "train.h5").stat().st_mtime_ns
     assert main(words(place, "--json")) == 0
     told = capsys.readouterr()
-    assert json.loads(told.out)["constants"].keys() and "frames/s" not in told.err
+    assert json.loads(told.out)["constants"].keys() and "clip     " not in told.err and "vision   " not in told.err
     assert (place / "run" / "data" / "train.h5").stat().st_mtime_ns == before
     assert main(words(place, "--fps", "100")) == 2
     assert "is of other fps: choose another --out" in capsys.readouterr().err
