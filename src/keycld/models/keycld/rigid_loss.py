@@ -39,7 +39,8 @@ class RigidLoss(AbstractLoss):
 
     Attributes:
         vision: the loss of single frames.
-        weight: w_r.
+        weight: w_r at the end. It is zero in the first tenth of the steps, and grows until 0.35 of them: it would keep
+            keypoints that have not found their parts yet on the part that stands out most.
         width: s, image-plane units.
     """
 
@@ -56,7 +57,8 @@ class RigidLoss(AbstractLoss):
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
         keypoints = jax.vmap(model.observe)(frames).keypoints
         shared = _shared(model, keypoints, frames, self.width)
-        return total - self.weight * shared, {**terms, "rigid": -shared}
+        weight = self.weight * jnp.clip((step / self.vision.steps - 0.1) / 0.25, 0.0, 1.0)
+        return total - weight * shared, {**terms, "rigid": -shared}
 
 
 def _shared(model: AbstractKeypointModel, keypoints: Array, frames: Array, width: Array | float) -> Array:

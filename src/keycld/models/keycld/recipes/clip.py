@@ -63,8 +63,8 @@ class ClipConfig(FastConfig):
         from keycld.models.keycld.rigid_loss import RigidLoss
 
         vision, *others = super().stages(scene)
-        assert isinstance(vision.loss, VisionLoss) and isinstance(vision.alternative, VisionLoss)
-        loss = RigidLoss(vision.loss, self.rigid, self.patch)
-        other = RigidLoss(vision.alternative, self.rigid, self.patch)
-        vision = dataclasses.replace(vision, loss=loss, alternative=other, prepare=measure_background)
+        assert isinstance(vision.alternative, VisionLoss)
+        # All candidates are pulled to what the rendered frames lack: the trial compares them before patches count.
+        loss = RigidLoss(vision.alternative, self.rigid, self.patch)
+        vision = dataclasses.replace(vision, loss=loss, alternative=None, prepare=measure_background)
         return vision, *(stage for stage in others if stage.name != "joint" or stage.steps)
