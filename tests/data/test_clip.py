@@ -73,6 +73,12 @@ def test_no_videos(tmp_path):
         import_clip(tmp_path / "none.mp4", tmp_path / "a", constraints="pendulum")
 
 
+def test_the_motion_of_a_chain_is_learned_in_halves(tmp_path):
+    import_clip(video(tmp_path, swing()), tmp_path / "a", constraints="double-pendulum", size=16)
+    data = open_data(tmp_path / "a")
+    assert data.train().image.shape[:2] == (2, 27) and data.test().image.shape[:2] == (1, 30)
+
+
 def test_several_clips_of_one_place_share_crop_and_are_split_each(tmp_path):
     first = video(tmp_path, swing(), "a.mp4")
     second = video(tmp_path, swing(75, seed=1), "b.mp4")

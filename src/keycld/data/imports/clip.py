@@ -119,6 +119,9 @@ def import_clip(
             for name, some in zip(split, np.split(clip, bounds), strict=True):
                 split[name].append(some)
         parts = {name: _recordings(clips, longest) for name, clips in split.items()}
+        if len(parts["train"]) == 1 and text.count("[[constraint]]") > 1:
+            # A chain's motion is fitted in halves: after a while nearby motions part.
+            parts["train"] = _recordings(split["train"], (len(split["train"][0]) + 1) // 2)
         attributes = origin(sources, rate) | {"protocol": CLIP, "crop": chosen, "kept_fps": kept}
         attributes["video_size"] = (first.width, first.height)
         store(out, parts, attributes, text, began)
