@@ -162,7 +162,7 @@ def _springs(law: ConstrainedLagrangian, parts: list[_Part], unit: float, metres
         raise KeycldError("springs can be exported for a single part on a line only.")
     part = parts[0]
     stiffness = float(np.asarray(term.stiffness)[0, 0])
-    along = np.asarray(_weights(law)[0]) @ np.array(part.joint.place)
+    along = float(_weights(law)[0] @ np.array(part.joint.place))
     part.stiffness, part.rest = stiffness / unit, -metres * along / stiffness
 
 
@@ -265,9 +265,8 @@ def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> Elemen
     if not part.joint.slide:
         kind = {"type": "hinge", "axis": "0 -1 0"}
     forces = {"damping": part.damping, "frictionloss": part.loss, "stiffness": part.stiffness, "springref": part.rest}
-    ElementTree.SubElement(
-        body, "joint", name=part.name, **kind, **{name: _text(value) for name, value in forces.items() if value}
-    )
+    acting = {name: _text(value) for name, value in forces.items() if value}
+    ElementTree.SubElement(body, "joint", {"name": part.name} | kind | acting)
     inertia = max(part.inertia, 1e-9 * part.mass)
     ElementTree.SubElement(
         body,
@@ -278,12 +277,10 @@ def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> Elemen
     )
     tip = _text(0.0, 0.0, -part.length)
     ElementTree.SubElement(body, "site", name=part.name, pos=tip)
-    look = {"contype": "0", "conaffinity": "0", "mass": "0"}
+    look = {"type": "sphere", "size": "0.05", "contype": "0", "conaffinity": "0", "mass": "0"}
     if part.length:
-        size = _text(0.02 * part.length)
-        ElementTree.SubElement(body, "geom", type="capsule", fromto=f"0 0 0 {tip}", size=size, **look)
-    else:
-        ElementTree.SubElement(body, "geom", type="sphere", size="0.05", **look)
+        look |= {"type": "capsule", "fromto": f"0 0 0 {tip}", "size": _text(0.02 * part.length)}
+    ElementTree.SubElement(body, "geom", look)
     return body
 
 
