@@ -1,5 +1,6 @@
 """Hostile files, full disks and kills: the quick part of `validation/faults`."""
 
+import errno
 import fcntl
 import json
 import os
@@ -18,7 +19,7 @@ import pytest
 from data.sample import sample
 from keycld import KeycldError
 from keycld._files import checked_name, read_bytes, write_text
-from keycld._records import Name, Unexpected, checked, read_arrays
+from keycld._records import Name, NumberText, Unexpected, checked, read_arrays
 from keycld.cli.main import main
 from keycld.data import check, import_video, read, write
 from keycld.data.format.hdf5 import create_file
@@ -92,6 +93,19 @@ def test_a_disk_that_fills_up_leaves_the_old_file(tmp_path, small_files, name):
     assert path.read_text() == "old" and os.listdir(tmp_path) == [name]
 
 
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_quota_is_a_full_disk(tmp_path, number, monkeypatch):
+    (tmp_path / "a.txt").write_text("old")
+
+    def refuses(*arguments, **options):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "write_text", refuses)
+    with pytest.raises(KeycldError, match="the disk is full while writing"):
+        write_text(tmp_path / "a.txt", "new")
+    assert (tmp_path / "a.txt").read_text() == "old" and os.listdir(tmp_path) == ["a.txt"]
+
+
 def spoil(path, change):
     write(path, sample())
     with h5py.File(path, "r+") as file:
@@ -159,22 +173,60 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
 def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path):
     """Each ended in an error that nothing foresaw."""
     from keycld.benchmarks.results import Result
+    from keycld.evaluation.probe import fit_probe
     from keycld.evaluation.stored import check_arrays
     from keycld.models import config_for
     from keycld.reports.training_figure import terms
+    from keycld.systems import get
 
     for settings in ({"terms": 30}, {"terms": [1]}):
         with pytest.raises(KeycldError, match="terms of preset 'fast' does not take"):
+            config_for("keycld", "fast", **settings)
+    for settings in (
+        {"constraints": 3},
+        {"vision": {"constraint": [1.0, 2.0, 3.0]}},
+        {"sigma": 1e308},
+        {"shared_constants": 1},
+    ):
+        with pytest.raises(KeycldError, match="takes a|TOML text"):
+            config_for("keycld", "fast", **settings).completed()
+    for settings in ({"sigma": 1e30}, {"sigma": 1e-320}, {"width": 2**31}):
+        with pytest.raises(KeycldError, match=r"is 0 or between 1e-12 and 1e12, a count below 2\^31"):
             config_for("keycld", "fast", **settings)
     with pytest.raises(KeycldError, match="TOML text"):
         config_for("keycld", "fast", constraints=[]).completed()
     assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
     with pytest.raises((Unexpected, KeyError)):
         check_arrays({}, {"turn/values": np.zeros(1)})
+    for name, fits in (("1", True), ("0.25", True), ("<script>", False), ("nan", False), ("-1", False)):
+        assert _is_checked({name: 1.0}, dict[NumberText, float]) == fits
+    with pytest.raises(KeycldError, match="not finite"):
+        fit_probe(get("pendulum"), np.full((2, 1, 2), np.nan), np.zeros((2, 2)), np.zeros((1, 2)), np.array([True]))
     stored = json.loads((REPOSITORY / "results/keycld/fast/pendulum-keycld-0.json").read_text())
     next(iter(stored["curves"].values()))["low"].pop()
     with pytest.raises(Unexpected, match="same length"):
         checked(stored, Result)
+    stored["curves"] = {}
+    next(iter(stored["scores"].values()))["baselines"]["mean image"].pop("1")
+    with pytest.raises(Unexpected, match=r"baselines.mean image.1' is missing"):
+        checked(stored, Result)
+
+
+def _is_checked(value, kind):
+    try:
+        return checked(value, kind) == value
+    except Unexpected:
+        return False
+
+
+def test_states_that_their_renderer_cannot_render_are_refused(tmp_path):
+    from keycld.data import make_data, open_data
+
+    made = make_data("toy/pendulum", tmp_path / "a", runs={"train": 2, "test": 1, "test_long": 1})
+    with h5py.File(made.folder / "train.h5", "r+") as file:
+        del file["parameters/offset"]
+    with pytest.raises(KeycldError, match="are not those from which their pictures are rendered"):
+        open_data(made.folder).split("train")
 
 
 def test_a_picture_that_claims_too_many_pixels_is_refused(tmp_path):

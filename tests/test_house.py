@@ -1,6 +1,7 @@
 """The house: rooms import only from rooms below, files stay small, and the core needs no simulator."""
 
 import ast
+import importlib
 import statistics
 import subprocess
 import sys
@@ -17,8 +18,8 @@ FLOORS = [
 ]  # fmt: skip
 # Modules of the package itself: what all rooms may use, and the package's own page, which stands above them.
 GROUND = (
-    "_compile_cache", "_entry_points", "_errors", "_ffmpeg", "_files", "_lock", "_progress", "_records", "_signals",
-    "_version",
+    "_compile_cache", "_entry_points", "_errors", "_ffmpeg", "_files", "_lazy", "_lock", "_progress", "_records",
+    "_signals", "_version",
 )  # fmt: skip
 
 
@@ -128,3 +129,21 @@ def test_help_imports_no_jax():
     code = "import sys, keycld.cli.main\nassert not {'jax', 'matplotlib', 'mujoco'} & set(sys.modules)"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
+
+
+def test_processes_that_render_import_no_jax():
+    """They live for seconds, of which JAX would take three."""
+    code = (
+        "import sys, keycld.data.generate.parts, keycld.systems.worker, keycld.systems.mujoco.pendulum\n"
+        "assert 'jax' not in sys.modules"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("room", ["data", "systems"])
+def test_a_page_has_the_names_that_it_promises(room):
+    page = importlib.import_module(f"keycld.{room}")
+    assert all(getattr(page, name).__name__ == name for name in page.__all__ if not name.isupper())
+    with pytest.raises(AttributeError, match=f"'keycld.{room}' has no attribute 'TYPE'"):
+        _ = page.TYPE

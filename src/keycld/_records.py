@@ -19,6 +19,18 @@ from keycld._files import checked_name, read_bytes, read_text
 Name = Annotated[str, checked_name]
 """A text that becomes part of a path."""
 
+
+def _positive_number(text: str, where: object) -> str:
+    try:
+        fits = 0.0 < float(text) < math.inf
+    except ValueError:
+        fits = False
+    return _require(fits and len(text) <= 20, text, "a positive number", str(where))
+
+
+NumberText = Annotated[str, _positive_number]
+"""A positive number as text, such as the name of a threshold."""
+
 _LARGEST_NUMBER = 2**53
 # More than deflate can compress: at most 258 bytes take two bits.
 _DEFLATE = 1100

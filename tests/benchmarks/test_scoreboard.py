@@ -2,14 +2,26 @@
 
 import json
 
+import numpy as np
 import pytest
 from bench_stub import fake_evaluation, record
 
 from keycld._errors import KeycldError
-from keycld.benchmarks import Place, as_csv, as_markdown, as_text, average_ranks, boards, suite_named, tables
+from keycld.benchmarks import (
+    Place,
+    as_csv,
+    as_markdown,
+    as_text,
+    average_ranks,
+    boards,
+    cost_figure,
+    illustrate_priors,
+    suite_named,
+    tables,
+)
 from keycld.benchmarks.experiment import Experiment
 from keycld.benchmarks.published_priors import PRIORS_TITLES, PUBLISHED
-from keycld.benchmarks.results import record_failure, write_json
+from keycld.benchmarks.results import command, record_failure, write_json
 from keycld.benchmarks.scoreboard import winners
 from keycld.evaluation import make_protocol, protocol_named, with_given
 from keycld.reports import write_priors_report
@@ -166,4 +178,40 @@ def test_the_page_has_heat_maps_roll_outs_and_what_is_missing(place):
     assert "rgb(42 120 142 / 0.68)" in page  # 0.75 of a VPT of 0.9
     assert "<small>failed SIGKILL</small>" in page and "<small>missing</small>" in page
     assert page.count("Frames of toy/mass_spring") == 2  # forward and backward
+    assert "minutes of training" in page and "A point for each set and seed." in page
     assert fake_evaluation(hgn.protocols[0], 0.5).scores["metric"] == "normalised"
+
+
+def test_figures_are_sheets_movies_and_cost(place):
+    """Of each direction that a model has; a suite without results has none."""
+    hgn, rgn = select(systems=TWO[:1], models=["hgn", "rgn"])
+    with pytest.raises(KeycldError, match="nothing to plot"):
+        illustrate_priors([hgn, rgn], place, place.root / "media")
+    scored(hgn, place, 0.9)
+    scored(rgn, place, 0.2)
+    written = illustrate_priors([hgn, rgn], place, place.root / "media")
+    names = [path.name for path in written if path.suffix == ".png"]
+    assert names == [
+        "cost.png",
+        "sheet-toy-mass_spring-test@256-priors.png",
+        "sheet-toy-mass_spring-test@256-priors-backward.png",
+    ]
+    assert all(path.exists() for path in written) and len(written) == 1 + 2 * 3
+    panels = cost_figure([hgn, rgn], place).axes
+    assert [axes.get_title(loc="left") for axes in panels] == ["HGN", "RGN"]
+    (points,) = panels[0].lines
+    np.testing.assert_allclose(points.get_xydata(), [[1.0, 0.9]])
+
+
+def test_shortened_trainings_are_marked(place):
+    (hgn,) = select(systems=TWO[:1], models=["hgn"], minutes=20.0)
+    assert hgn.group == "priors/fast-20min" and "--minutes 20" in command(hgn)
+    assert Experiment.from_json(hgn.to_json()) == hgn and hgn.hash() != select(models=["hgn"])[0].hash()
+    scored(hgn, place, 0.5)
+    result = json.loads(place.result(hgn).read_text())
+    assert result["minutes"] is None and result["training"]["step"] > 0  # those of the stub's training
+    write_json(place.result(hgn), {**result, "minutes": 20.0, "share": 0.44})
+    (table, *_) = tables([hgn], place)
+    assert table.rows[0].note == "best HGN; 44% of the steps: HGN" and "shortened to 20 minutes" in table.title
+    with pytest.raises(KeycldError, match="--minutes is a positive number, not 0"):
+        select(minutes=0.0)

@@ -67,14 +67,14 @@ def fitted(observed):
 
 
 def constants(found):
-    def of(eta):
-        law, values = found.unknowns.law(eta)
-        friction = law.dissipation.terms["viscous"].coefficients[0, 0] / law.masses[0]
-        pivot = law.constraint_function.items[0].learned
-        squared = law.potential.weight[1] / law.masses[0] / jnp.sqrt(values[0])
-        return {"mass": law.masses[0], "length": jnp.sqrt(values[0]), "x": pivot[0], "gamma": friction, "ω²": squared}
+    return derive(found, numbers)
 
-    return derive(found, of)
+
+def numbers(law, constants):
+    friction = law.dissipation.terms["viscous"].coefficients[0, 0] / law.masses[0]
+    length, pivot = jnp.sqrt(constants[0]), law.constraint_function.items[0].learned
+    squared = law.potential.weight[1] / law.masses[0] / length
+    return {"mass": law.masses[0], "length": length, "x": pivot[0], "gamma": friction, "ω²": squared}
 
 
 def test_covariance_of_a_linear_fit_is_the_textbook_one():

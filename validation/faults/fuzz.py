@@ -20,10 +20,10 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from validation.faults.cases import chosen
 from validation.faults.events import changed_path
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -32,15 +32,7 @@ _EXTRA_SECONDS = 10.0
 _WAITING = 8.0
 _MOST_BYTES = 2e9
 # A process with more bytes than this, or after this many cases, is replaced.
-_GROWN, _ENOUGH = 1.2e9, 500
-
-
-def chosen(number: int, seed: int) -> tuple[Any, tuple[str, ...]]:
-    """Return file and verb of a case: each file in turn, then each of its verbs."""
-    from validation.faults.cases import TARGETS
-
-    target = TARGETS[number % len(TARGETS)]
-    return target, target.verbs[(number // len(TARGETS) + seed) % len(target.verbs)]
+_GROWN, _ENOUGH = 1.2e9, 4000
 
 
 class Worker:
@@ -61,10 +53,17 @@ class Worker:
             os.close(handle)
         os.set_blocking(self._said, False)
 
-    def run(self, words: list[str], outer: Path, limit: float) -> dict[str, Any]:
-        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on."""
+    def run(self, words: list[str], outer: Path, limit: float, largest: int = -1) -> dict[str, Any]:
+        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on.
+
+        Args:
+            words: of the command.
+            outer: the working directory.
+            limit: seconds of the processor.
+            largest: bytes that a file may have; -1: any.
+        """
         since, before = time.monotonic(), _processor_seconds(self._pid)
-        os.write(self._ask, json.dumps([words, str(outer)]).encode() + b"\n")
+        os.write(self._ask, json.dumps([words, str(outer), largest]).encode() + b"\n")
         said, answer, hung = bytearray(), b"", False
         while not answer.endswith(b"\n"):
             ready = select.select([self._answers, self._said], [], [], 0.2)[0]
@@ -79,6 +78,7 @@ class Worker:
             if hung:
                 break
         said += _drained(self._said)
+        used = _processor_seconds(self._pid) - before
         self.cases += 1
         if answer.endswith(b"\n"):
             code, peak, outside = json.loads(answer)
@@ -86,7 +86,8 @@ class Worker:
                 self.end()
         else:
             code, peak, outside = self.end(), 0, []
-        return judged(code, hung, bytes(said), peak, since) | {"outside": outside}
+        found = judged(code, hung, bytes(said), peak, since)
+        return found | {"outside": outside, "processor_seconds": round(used, 2)}
 
     def leave(self) -> None:
         """Leave the folder of the last verb."""
@@ -123,11 +124,13 @@ def _serve(base: Path, asked: int, answer: int, speaking: int) -> None:
     sys.addaudithook(watch)
     with os.fdopen(asked) as orders:
         for line in orders:
-            words, outer = json.loads(line)
+            words, outer, largest = json.loads(line)
             outside.clear()
             os.chdir(outer)
             Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
-            code = _code(words)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, resource.RLIM_INFINITY))
+            code = exit_code(words)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
             status = Path("/proc/self/status").read_text()
             peak = int(status.partition("VmHWM:")[2].split()[0]) * 1024
             os.write(answer, json.dumps([code, peak, outside[:5]]).encode() + b"\n")
@@ -136,7 +139,7 @@ def _serve(base: Path, asked: int, answer: int, speaking: int) -> None:
 
 def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str, float]) -> dict[str, Any]:
     """Damage a copy of the originals, run the verb, and return what happened."""
-    from validation.faults.mutate import damage
+    from validation.faults.mutate import MARK, damage
 
     target, words = chosen(number, seed)
     # A folder of its own: nothing may be remembered by its path.
@@ -151,13 +154,15 @@ def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str
     found = worker.run([word.replace("{work}", str(outer / "work")) for word in words], outer, limit)
     strangers = [path for path in case.rglob("*") if outer / "work" not in (path, *path.parents)]
     found["outside"] += [str(path) for path in strangers if path not in (outer, *outer.parents)]
+    pages = [path.read_text(errors="replace") for path in (outer / "work").rglob("*.html") if path.is_file()]
+    found["faults"] += ["injection"] if any(MARK in page for page in pages) else []
     shutil.rmtree(case)
-    return {"case": number, "file": target.file, "verb": " ".join(words[:2]), "damage": done, "words": " ".join(words),
+    return {"case": number, "file": target.file, "damage": done, "words": " ".join(words),
             **found}  # fmt: skip
 
 
-def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], object] = lambda: None) -> dict[str, Any]:
-    """Run one verb in a forked process of its own, which calls `first` before, and judge how it ends."""
+def run_verb(words: list[str], outer: Path, limit: float) -> dict[str, Any]:
+    """Run one verb in a forked process of its own, and judge how it ends."""
     since = time.monotonic()
     listening, speaking = os.pipe()
     child = os.fork()
@@ -165,8 +170,7 @@ def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], ob
         os.close(listening)
         _detach(speaking)
         os.chdir(outer)
-        first()
-        os._exit(_code(words))
+        os._exit(exit_code(words))
     os.close(speaking)
     os.set_blocking(listening, False)
     status, usage, said, hung = _wait(child, since + limit, listening)
@@ -203,11 +207,20 @@ def _detach(speaking: int) -> None:
     os.dup2(speaking, 2)
 
 
-def _code(words: list[str]) -> int:
-    """Run a verb in this process and return the code with which it would end."""
+def exit_code(words: list[str]) -> int:
+    """Run a verb in this process and return the code with which it would end.
+
+    `child ROOT RESULTS` is what `bench run` starts for a small experiment.
+    """
     from keycld.cli.main import main
 
     try:
+        if words[0] == "child":
+            from validation.faults.originals import small_experiment
+
+            from keycld.benchmarks.child import main as child
+
+            return child([str(os.getppid()), small_experiment().to_json(), *words[1:]])
         return main(words)
     except SystemExit as error:
         return int(error.code or 0)
@@ -273,8 +286,13 @@ def summary(lines: list[dict[str, Any]]) -> dict[str, Any]:
         "outside": sum(bool(line["outside"]) for line in lines),
         "longest_seconds": max((line["seconds"] for line in lines), default=0.0),
         "largest_bytes": max((line["peak"] for line in lines), default=0),
-        "by_file": dict(Counter(line["file"] for line in lines)),
+        "by_file_and_verb": dict(sorted(Counter(f"{line['file']}: {_verb(line['words'])}" for line in lines).items())),
     }
+
+
+def _verb(words: str) -> str:
+    """Return `train` or `data check` of the words of a command."""
+    return " ".join(word for word in words.split()[:2] if word.isalpha())
 
 
 def main() -> None:
@@ -294,6 +312,7 @@ def main() -> None:
     path = base / "fuzz.jsonl"
     lines = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
     known = {line["case"] for line in lines}
+    commit = subprocess.run(["git", "rev-parse", "--short", "HEAD"], cwd=REPOSITORY, capture_output=True, text=True)
     worker = Worker(base)
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
@@ -304,7 +323,8 @@ def main() -> None:
                 usual[" ".join(words)] = usual_seconds(words, base)
                 memory.write_text(json.dumps(usual))
             worker = worker if worker.alive else Worker(base)
-            lines.append(run_case(worker, number, options.seed, base, usual))
+            found = run_case(worker, number, options.seed, base, usual)
+            lines.append(found | {"commit": commit.stdout.strip()})
             file.write(json.dumps(lines[-1]) + "\n")
             file.flush()
     print(json.dumps(summary(lines), indent=1))
@@ -316,7 +336,7 @@ def prepare(base: Path) -> None:
     os.environ |= {"TMPDIR": str(base / "tmp"), "MPLCONFIGDIR": str(base / "tmp" / "matplotlib"),
                    "KEYCLD_COMPILE_CACHE": str(base / "tmp" / "compiled")}  # fmt: skip
     if not (base / "original").exists():
-        code = "import sys; from pathlib import Path; from validation.faults.cases import make_originals as m; "
+        code = "import sys; from pathlib import Path; from validation.faults.originals import make_originals as m; "
         code += "m(Path(sys.argv[1]), Path(sys.argv[2]))"
         shutil.rmtree(base / "new", ignore_errors=True)
         subprocess.run([sys.executable, "-c", code, str(base / "new"), str(REPOSITORY)], check=True)

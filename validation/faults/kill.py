@@ -11,32 +11,43 @@ import argparse
 import hashlib
 import json
 import os
-import resource
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from validation.faults.fuzz import REPOSITORY, Worker, prepare, run_verb
+from validation.faults.fuzz import REPOSITORY, Worker, prepare
 
 HOOK = Path(__file__).parent / "hook"
 
 # What the recordings of time and machine make different in every run.
-_TIMED = ("statistics.json", "environment.json", "metrics.jsonl", "README.md", "config.json", "position.json")
+_TIMED = ("statistics.json", "environment.json", "metrics.jsonl", "README.md", "config.json", "position.json",
+          "bench.json", "bench.log", "table.md", "pendulum-ar-0.json")  # fmt: skip
+# What names the newest of several whole things.
+_POINTER = "latest"
+_BENCH = ("keycld", "--root", "{work}/bench", "--results", "{work}/results", "--systems", "pendulum", "--models",
+          "keycld", "--seeds", "0", "--out", "{work}/new")  # fmt: skip
+_COUNTS = ("--train", "4", "--validation", "2", "--test", "2", "--long", "1")
 VERBS: dict[str, tuple[str, ...]] = {
     "import of a video": ("data", "import", "{work}/swing.mp4", "--out", "{work}/new", "--size", "8", "--frames", "5"),
     "import of a suite": ("data", "import", "{work}/matching_pennies", "--out", "{work}/new"),
     "data show": ("data", "show", "{work}/data", "--out", "{work}/new/out.gif", "--scale", "1"),
-    "report": ("report", "{work}/run"),
-    "bench table": ("bench", "table", "keycld", "--root", "{work}/bench", "--results", "{work}/results", "--systems",
-                    "pendulum", "--models", "keycld", "--seeds", "0", "--out", "{work}/new"),
-    "predict": ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/new/out.h5"),
+    "data make of a toy": ("data", "make", "toy/pendulum", "--train", "6", "--test", "2", "--long", "2", "--out",
+                           "{work}/new", "--workers", "1"),
+    "data make of MuJoCo": ("data", "make", "pendulum", "--out", "{work}/new", *_COUNTS, "--workers", "1"),
+    "train": ("train", "{work}/data", "--config", "{work}/half/config.json", "--out", "{work}/new", "--log-every", "2",
+              "--checkpoint-seconds", "0"),
     "eval": ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10"),
-    "train": ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/new"),
-    "data make": ("data", "make", "pendulum", "--out", "{work}/new", "--train", "4", "--validation", "2", "--test", "2",
-                  "--long", "1", "--size", "16", "--workers", "1"),
+    "predict": ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/new/out.h5"),
+    "report": ("report", "{work}/run"),
+    "bench run": ("child", "{work}/bench", "{work}/results"),
+    "bench table": ("bench", "table", *_BENCH),
+    "bench figures": ("bench", "figures", *_BENCH),
+    "bench report": ("bench", "report", *_BENCH),
 }  # fmt: skip
+_PROGRAM = "import sys; from validation.faults.fuzz import exit_code; sys.exit(exit_code(sys.argv[1:]))"
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -47,6 +58,16 @@ def contents(folder: Path) -> dict[str, str]:
         if path.is_file() and not hidden and path.name not in _TIMED:
             found[str(path.relative_to(folder))] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
+
+
+def everything(folder: Path) -> str:
+    """Return the hash of all files and folders, without the numbers of processes in names."""
+    found = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        found.update(re.sub(r"\.\d+@[^/]*\.partial", ".partial", str(path.relative_to(folder))).encode())
+        if path.is_file():
+            found.update(path.read_bytes())
+    return found.hexdigest()
 
 
 def fresh(base: Path) -> Path:
@@ -68,49 +89,81 @@ def kills(base: Path, name: str, limit: float) -> dict[str, Any]:
     copies.mkdir()
     environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HOOK), str(REPOSITORY), *sys.path]),
                                 "FAULTS_WORK": str(work), "FAULTS_COPIES": str(copies)}  # fmt: skip
-    command = [sys.executable, "-m", "keycld.cli.main", *words]
-    subprocess.run(command, cwd=outer, env=environment, check=True, capture_output=True)
-    expected, lost, half, other = contents(work), 0, 0, 0
-    moments = sorted(copies.iterdir())
-    worker = Worker(base)
+    subprocess.run(
+        [sys.executable, "-c", _PROGRAM, *words], cwd=outer, env=environment, check=True, capture_output=True
+    )
+    expected, moments = contents(work), sorted(copies.iterdir())
+    found = {"kills": len(moments), "states": 0, "absent": 0, "lost": 0, "half": 0, "different_after_resuming": 0}
+    worker, seen = Worker(base), set()
     for moment in moments:
         shutil.rmtree(work)
         moment.rename(work)
-        left = contents(work)
-        lost += sum(path not in left for path in before)
-        half += sum(digest not in (before.get(path), expected.get(path)) for path, digest in left.items())
+        left, state = contents(work), everything(work)
+        if state in seen:
+            continue
+        seen.add(state)
+        found["absent"] += any(path not in left for path in before)
+        found["half"] += len(_half(left, before, expected))
         worker = worker if worker.alive else Worker(base)
         again = worker.run(words, outer, limit)
         orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
-        found = contents(work)
-        different = sorted(path for path in {**found, **expected} if found.get(path) != expected.get(path))
+        after = contents(work)
+        found["lost"] += any(path not in after for path in before)
+        different = sorted(path for path in {**after, **expected} if after.get(path) != expected.get(path))
         done = again["exit"] == 0 or "already holds data" in again["said"]
         if not done or different or orphans or again["faults"]:
-            other += 1
+            found["different_after_resuming"] += 1
             print(name, moment.name, again, different, orphans, file=sys.stderr, flush=True)
+    found["states"] = len(seen)
     if worker.alive:
         worker.end()
-    return {"kills": len(moments), "lost": lost, "half": half, "different_after_resuming": other}
+    return found
+
+
+def _half(left: dict[str, str], *whole: dict[str, str]) -> list[str]:
+    """Return the files that are as none of those that are whole."""
+    known = {(path, digest) for each in whole for path, digest in each.items()}
+    return [path for path, digest in left.items() if (path, digest) not in known and Path(path).name != _POINTER]
 
 
 def full(base: Path, name: str, limit: float) -> dict[str, Any]:
     """Let every file of a verb end at some sizes, and look at what it says and leaves."""
     outer = fresh(base)
     words = [word.replace("{work}", str(outer / "work")) for word in VERBS[name]]
-    before = contents(outer / "work")
-    found = {"tries": 0, "faults": 0, "half": 0}
-    run_verb(words, outer, limit)
+    before, worker = contents(outer / "work"), Worker(base)
+    worker.run(words, outer, limit)
     expected = contents(outer / "work")
+    found: dict[str, Any] = {"tries": 0, "refused": 0, "faults": 0, "half": 0, "left_over": 0}
     for size in (0, 1, 100, 1000, 3000, 10_000, 30_000, 100_000):
         outer = fresh(base)
-        ended = run_verb(words, outer, limit, lambda n=size: resource.setrlimit(resource.RLIMIT_FSIZE, (n, n)))
-        left = contents(outer / "work")
-        found["tries"] += 1
-        if ended["faults"] or ended["unforeseen"]:
-            found["faults"] += 1
-            print(name, size, ended, file=sys.stderr, flush=True)
-        found["half"] += sum(digest not in (before.get(path), expected.get(path)) for path, digest in left.items())
+        worker = worker if worker.alive else Worker(base)
+        ended = worker.run(words, outer, limit, size)
+        _count(found, name, size, ended, outer, before, expected)
+    if worker.alive:
+        worker.end()
     return found
+
+
+def _count(
+    found: dict[str, Any],
+    name: str,
+    room: object,
+    ended: dict[str, Any],
+    outer: Path,
+    before: dict[str, str],
+    expected: dict[str, str],
+) -> None:
+    """Add one try on a full disk to the counts; earlier files are lost where one of them is not there."""
+    left = contents(outer / "work")
+    orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
+    half = [*_half(left, before, expected), *(before.keys() - left.keys())]
+    found["tries"] += 1
+    found["refused"] += ended["exit"] == 2
+    found["faults"] += bool(ended["faults"] or ended["unforeseen"])
+    found["half"] += len(half)
+    found["left_over"] += len(orphans)
+    if ended["faults"] or ended["unforeseen"] or half or orphans:
+        print(name, room, ended, half, orphans, file=sys.stderr, flush=True)
 
 
 def disks(base: Path, name: str, limit: float) -> dict[str, Any]:
@@ -130,21 +183,12 @@ def disks(base: Path, name: str, limit: float) -> dict[str, Any]:
             subprocess.run(["mount", "-o", f"remount,{option}", outer], check=True)
             worker = worker if worker.alive else Worker(base)
             ended = worker.run(words, outer, limit)
-            left = contents(outer / "work")
-            expected = expected or left
-            orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
+            expected = expected or contents(outer / "work")
+            _count(found, name, room, ended, outer, before, expected)
         finally:
             worker.leave()
             # A file of a verb that has failed may wait for the garbage collector.
             subprocess.run(["umount", "--lazy", outer], check=True)
-        half = [path for path, digest in left.items() if digest not in (before.get(path), expected.get(path))]
-        found["tries"] += 1
-        found["refused"] += ended["exit"] == 2
-        found["faults"] += bool(ended["faults"] or ended["unforeseen"])
-        found["half"] += len(half) + len(before.keys() - left.keys())
-        found["left_over"] += len(orphans)
-        if ended["faults"] or ended["unforeseen"] or half or orphans:
-            print(name, room, ended, half, orphans, file=sys.stderr, flush=True)
     if worker.alive:
         worker.end()
     return found
@@ -157,7 +201,8 @@ def main() -> None:
     parser.add_argument("--verbs", nargs="*", default=list(VERBS))
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--limit", action="store_const", dest="way", const=full)
-    way.add_argument("--disk", action="store_const", dest="way", const=disks, default=kills)
+    way.add_argument("--disk", action="store_const", dest="way", const=disks)
+    parser.set_defaults(way=kills)
     options = parser.parse_args()
     base = options.work.resolve()
     prepare(base)

@@ -8,13 +8,12 @@ import argparse
 import json
 import os
 import shutil
-import sys
 import threading
 import time
 from pathlib import Path
 from typing import Any
 
-from validation.faults.fuzz import REPOSITORY
+from validation.faults.originals import AR
 
 
 def resident() -> int:
@@ -31,31 +30,29 @@ def flatness(sizes: list[int]) -> dict[str, Any]:
 
 
 def training(base: Path, steps: int) -> dict[str, Any]:
-    """Train with cheap steps, and look at the size every 500 of them."""
-    sys.path.insert(0, str(REPOSITORY / "tests"))
+    """Train a recurrent model with cheap steps, with a checkpoint and a line of the log every 500 of them."""
     from keycld.models import config_for
     from keycld.training import train
-    from scenes import TINY  # pyright: ignore[reportMissingImports]
 
-    vision = {**TINY["vision"], "steps": steps, "candidates": 1}
     sizes: list[int] = []
     out, done = base / "long", threading.Event()
     shutil.rmtree(out, ignore_errors=True)
 
     def watch() -> None:
         lines = 0
-        while not done.wait(0.2):
+        while not done.wait(0.05):
             path = out / "metrics.jsonl"
-            text = path.read_text() if path.exists() else ""
-            if text.count("\n") > lines and '"vision"' in text.splitlines()[-1]:
-                lines = text.count("\n")
+            found = path.read_text().count("\n") if path.exists() else 0
+            if found > lines:
+                lines = found
                 sizes.append(resident())
 
     watcher = threading.Thread(target=watch)
     watcher.start()
     since = time.monotonic()
     try:
-        train(base / "original/data", out, config_for("keycld", "fast", **{**TINY, "vision": vision}), log_every=500)
+        config = config_for("ar", "fast", **{**AR, "steps": steps})
+        train(base / "original/data", out, config, log_every=500, checkpoint_seconds=0.0)
     finally:
         done.set()
         watcher.join()

@@ -1,53 +1,119 @@
-"""An interrupt or a termination at a random moment of every verb, in a process of its own.
+"""An interrupt or a termination at random moments of every verb.
 
-`python -m validation.faults.signals --work FOLDER --tries 20` after `fuzz`, which makes the whole files in FOLDER. Each
-try must end with code 130 or 143 (or 0 where the verb was faster) and without a traceback; the same command must then
-end with code 0.
+`python -m validation.faults.signals --work FOLDER --tries 20` after `fuzz`, which makes the whole files in FOLDER. A
+process in which everything is imported already is forked for each try, so that the moments, which are random over the
+time that the verb takes, are those of its work; `tests/test_faults.py` interrupts the import. Each try must end with
+code 130 or 143 (or as ever where the verb was faster), soon, and without a traceback. After the last try the same
+command must do its work with what the try has left.
 """
 
 import argparse
 import json
+import os
+import shutil
 import signal
-import subprocess
 import sys
 import time
 from collections import Counter
 from pathlib import Path
 from random import Random
+from typing import Any
 
+from validation.faults.fuzz import Worker, exit_code, prepare
 from validation.faults.kill import VERBS, fresh
 
 ALSO: dict[str, tuple[str, ...]] = {
-    "data make": ("data", "make", "toy/pendulum", "--train", "40", "--test", "2", "--long", "2", "--out", "{work}/new"),
     "data check": ("data", "check", "{work}/data"),
-    "eval": ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10"),
-    "train": ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/other"),
+    "control": ("control", "{work}/run", "--goal", "{work}/goal.png", "--seconds", "0.1"),
+    "models": ("models",),
+    "info": ("info",),
+    "bench status": ("bench", "status", "keycld", "--root", "{work}/bench", "--results", "{work}/results"),
 }
+# What ends with code 2 on whole files, see `originals`.
+_REFUSED = ("control",)
+_SOON = 5.0
 
 
-def attempt(base: Path, words: tuple[str, ...], number: signal.Signals, pause: float) -> str:
-    """Return what is wrong with the end of one try, or its code."""
+def begun(words: list[str], outer: Path) -> tuple[int, int]:
+    """Begin a verb as the installed command does, in a process of its own; return its number and what it says."""
+    listening, speaking = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.setpgid(0, 0)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for handle, place in ((nothing, 0), (nothing, 1), (speaking, 2)):
+            os.dup2(handle, place)
+        os.chdir(outer)
+        # A shell starts background processes with interrupts ignored.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        from keycld._signals import ENDING, end_on_signals
+
+        end_on_signals()
+        code = exit_code(words)
+        if ENDING.is_set():
+            time.sleep(60)  # the other thread ends the process
+        os._exit(code)
+    os.close(speaking)
+    os.set_blocking(listening, False)
+    return child, listening
+
+
+def waited(child: int, listening: int, seconds: float) -> tuple[int | None, bytes]:
+    """Wait for a process; return its code, None if it still runs, and what it has said."""
+    until, said = time.monotonic() + seconds, bytearray()
+    while True:
+        pid, status = os.waitpid(child, os.WNOHANG)
+        try:
+            while part := os.read(listening, 2**16):
+                said += part
+        except BlockingIOError:
+            pass
+        if pid:
+            return os.waitstatus_to_exitcode(status), bytes(said)
+        if time.monotonic() > until:
+            return None, bytes(said)
+        time.sleep(0.01)
+
+
+def attempt(words: list[str], outer: Path, number: signal.Signals, pause: float) -> tuple[str, float]:
+    """Return the code of one try, or what is wrong with its end; and how long the end took."""
+    child, listening = begun(words, outer)
+    code, said = waited(child, listening, pause)
+    since = time.monotonic()
+    if code is None:
+        os.kill(child, number)
+        code, more = waited(child, listening, 8 * _SOON)
+        said += more
+    if code is None:
+        os.killpg(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    os.close(listening)
+    took = time.monotonic() - since
+    return ("hang" if code is None else "traceback" if b"Traceback" in said else str(code)), took
+
+
+def tries(base: Path, name: str, number: signal.Signals, count: int, random: Random) -> dict[str, Any]:
+    """Interrupt a verb at random moments, each time with the whole files; a whole run continues what the last left."""
     outer = fresh(base)
-    # A shell starts background processes with interrupts ignored.
-    program = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
-    program += "from keycld.cli.start import entry; entry()"
-    command = [sys.executable, "-c", program, *(word.replace("{work}", str(outer / "work")) for word in words)]
-    process = subprocess.Popen(command, cwd=outer, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
-    time.sleep(pause)
-    process.send_signal(number)
-    try:
-        _, said = process.communicate(timeout=30)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        return "hang"
-    if "Traceback" in said:
-        return "traceback"
-    if process.returncode == 0:
-        return "0"
-    again = subprocess.run(command, cwd=outer, capture_output=True, text=True, check=False)
-    if again.returncode != 0 and "already holds data" not in again.stderr:
-        return f"not resumed: {again.stderr[-200:]}"
-    return str(process.returncode)
+    words = [word.replace("{work}", str(outer / "work")) for word in {**VERBS, **ALSO}[name]]
+    since = time.monotonic()
+    child, listening = begun(words, outer)
+    waited(child, listening, 300.0)
+    os.close(listening)
+    whole, ends, longest = time.monotonic() - since, Counter(), 0.0
+    for _ in range(count):
+        shutil.rmtree(outer / "work", ignore_errors=True)
+        shutil.copytree(base / "original", outer / "work")
+        end, took = attempt(words, outer, number, random.uniform(0.0, whole))
+        ends[end] += 1
+        longest = max(longest, took)
+    worker = Worker(base)
+    again = worker.run(words, outer, 120.0)
+    if worker.alive:
+        worker.end()
+    wanted = (0, 2) if name in _REFUSED else (0,)
+    found = {"seconds": round(whole, 2), "ends": dict(ends), "slowest_end": round(longest, 2)}
+    return found | ({} if again["exit"] in wanted and not again["faults"] else {"not_resumed": again})
 
 
 def main() -> None:
@@ -57,13 +123,14 @@ def main() -> None:
     parser.add_argument("--tries", type=int, default=20)
     parser.add_argument("--verbs", nargs="*", default=[*VERBS, *ALSO])
     options = parser.parse_args()
+    base = options.work.resolve()
+    prepare(base)
     random = Random(0)
     for name in options.verbs:
         for number in (signal.SIGINT, signal.SIGTERM):
-            moments = [random.uniform(0.3, 4.0) for _ in range(options.tries)]
-            ends = Counter(attempt(options.work.resolve(), {**VERBS, **ALSO}[name], number, each) for each in moments)
-            print(json.dumps({name: {number.name: dict(ends)}}), flush=True)
+            found = tries(base, name, number, options.tries, random)
+            print(json.dumps({name: {number.name: found}}), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -12,6 +12,9 @@ from keycld.benchmarks.paper_figures import PaperFigure as PaperFigure
 from keycld.benchmarks.paper_figures import PaperFigures as PaperFigures
 from keycld.benchmarks.paper_figures import paper_figures as paper_figures
 from keycld.benchmarks.pictures import movie_of as movie_of
+from keycld.benchmarks.priors_figures import cost_figure as cost_figure
+from keycld.benchmarks.priors_figures import illustrate_priors as illustrate_priors
+from keycld.benchmarks.priors_figures import shown_protocols as shown_protocols
 from keycld.benchmarks.run_figures import control_strip as control_strip
 from keycld.benchmarks.run_figures import grid_pictures as grid_pictures
 from keycld.benchmarks.run_figures import observation_sheet as observation_sheet
@@ -65,11 +68,13 @@ __all__ = [
     "as_markdown",
     "as_text",
     "control_strip",
+    "cost_figure",
     "count_states",
     "done_results",
     "error_figure",
     "grid_pictures",
     "illustrate",
+    "illustrate_priors",
     "movie_of",
     "observation_sheet",
     "over_seeds",
@@ -78,6 +83,7 @@ __all__ = [
     "potential_figures",
     "provenance",
     "run_experiments",
+    "shown_protocols",
     "status_of",
     "status_table",
     "suite_named",

@@ -31,6 +31,11 @@ class Illustration:
     sheet: Path
     movie: Path
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Every file that was written."""
+        return self.sheet, self.movie, self.movie.with_suffix(".gif")
+
 
 @dataclass(frozen=True)
 class Illustrations:
@@ -49,7 +54,7 @@ class Illustrations:
     @property
     def files(self) -> tuple[Path, ...]:
         """Every file that was written."""
-        moving = [path for each in self.pictures for path in (each.sheet, each.movie, each.movie.with_suffix(".gif"))]
+        moving = [path for each in self.pictures for path in each.files]
         return (*self.errors.values(), *(figure.path for figure in self.paper.made), *moving)
 
 
@@ -80,12 +85,13 @@ def illustrate(experiments: Sequence[Experiment], place: Place, folder: Path) ->
         for label in data_labels(experiments):
             found = gallery(experiments, place, label, protocol)
             if found is not None:
-                pictures.append(_save(found, protocol, folder))
+                pictures.append(save_illustration(found, protocol, folder))
     return Illustrations(errors, paper_figures(experiments, place, folder), tuple(pictures))
 
 
-def _save(found: Gallery, protocol: Protocol, folder: Path) -> Illustration:
-    name = f"{found.label}-{protocol.name}"
+def save_illustration(found: Gallery, protocol: Protocol, folder: Path) -> Illustration:
+    """Write sheet and movie of some frames, and return where they are."""
+    name = f"{found.label.replace('/', '-')}-{protocol.name}"
     saved = Illustration(found, protocol, folder / f"sheet-{name}.png", folder / f"movie-{name}.mp4")
     # As many columns as the paper's: every fourth of 50 frames.
     every = max(1, round(4 * len(found.truth) / 50))

@@ -11,7 +11,7 @@ import numpy as np
 from keycld import _records
 from keycld._errors import KeycldError
 from keycld._files import write_text
-from keycld._records import Unexpected, read_lines
+from keycld._records import NumberText, Unexpected, read_lines
 from keycld.benchmarks.experiment import Experiment, Place, digest
 from keycld.data import read_statistics
 from keycld.evaluation import Evaluation, load_evaluation
@@ -44,11 +44,20 @@ class _State(TypedDict):
 
 
 class _Scores(TypedDict):
-    vpt: dict[str, _Vpt]
+    vpt: dict[NumberText, _Vpt]
     epsilon: float
     state: NotRequired[_State]
     table_units: NotRequired[dict[str, float | None]]
     baselines: dict[str, dict[str, float | dict[str, float | None]]]
+
+
+def _comparable(scores: dict[str, Any], where: str) -> dict[str, Any]:
+    """Return the scores under a protocol, if trivial predictors are scored at each of its thresholds."""
+    thresholds = scores["vpt"].keys()
+    for name, baseline in scores["baselines"].items():
+        if missing := thresholds - baseline.keys():
+            raise Unexpected(f"'{where}.baselines.{name}.{min(missing)}' is missing")
+    return scores
 
 
 class _Curve(TypedDict):
@@ -99,7 +108,7 @@ class Result(TypedDict):
     machine: _Machine
     training: _Cost
     seconds: dict[str, float]
-    scores: dict[str, _Scores]
+    scores: dict[str, Annotated[_Scores, _comparable]]
     curves: dict[str, Annotated[_Curve, _even]]
 
 

@@ -129,14 +129,20 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
 def figures(selection: Chosen, *, out: Path | None = None) -> None:
     """Write the KeyCLD paper's Figs. 1, 3 to 5 and 8 to 15 as far as results are stored, and movies side by side.
 
+    Of the suite priors: frame sheets and movies of all models, and cost against score.
+
     Args:
         selection: Which experiments.
         out: Folder of the PNG, MP4 and GIF files; by default ROOT/runs/SUITE/PRESET/media.
     """
-    from keycld.benchmarks import illustrate
+    from keycld.benchmarks import illustrate, illustrate_priors, suite_named
 
     experiments, place = selection.experiments(), selection.place()
-    written = illustrate(experiments, place, out or place.group(experiments[0]) / "media")
+    folder = out or place.group(experiments[0]) / "media"
+    if suite_named(selection.suite).fitting:
+        print("\n".join(map(str, illustrate_priors(experiments, place, folder))))
+        return
+    written = illustrate(experiments, place, folder)
     print("\n".join([*map(str, written.files), *written.paper.left_out]))
 
 

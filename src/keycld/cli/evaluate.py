@@ -21,6 +21,7 @@ def evaluate(
     data: str | None = None,
     protocols: tuple[str, ...] = (),
     given: int | None = None,
+    symetric: bool = False,
     json: bool = False,
 ) -> None:
     """Score a trained run: VPT, error over time, true-state error, energies, next to the trivial baselines.
@@ -33,6 +34,8 @@ def evaluate(
             (recordings from frame K on) or -backward, such as test_long@50-from-30. By default all standard ones for
             which the data have files.
         given: Number of given frames, in place of the protocols' own; more frames make a better initial state.
+        symetric: Score how canonical the map from the model's states to the true ones is, in place of all protocols:
+            SyMetric, which needs scikit-learn.
         json: Print all scores as JSON, by protocol, instead of tables.
     """
     from keycld.cli.making import data_for
@@ -53,6 +56,9 @@ def evaluate(
                 raise KeycldError(f"the data of {folder}, {data}, are missing: name a data set with --data.")
             data = str(data_for(config.system))
     dataset = open_data(data)
+    if symetric:
+        _score_symetric(model, dataset, folder, json)
+        return
     chosen = _chosen(dataset, model, protocols)
     if given is not None:
         chosen = [with_given(protocol, given) for protocol in chosen]
@@ -69,6 +75,21 @@ def evaluate(
     if own and "sweeps" in dataset.splits:
         save_evaluation(folder, "sweeps", evaluate_sweeps(model, dataset))
     print(as_json(scores) if json else f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
+
+
+def _score_symetric(model: "AbstractModel", dataset: "DataSet", folder: Path, as_text: bool) -> None:
+    """Print and store SyMetric of batches of test trajectories, and their means."""
+    import json
+
+    from keycld._files import write_text
+    from keycld.evaluation import score_symetric
+
+    found = score_symetric(model, dataset)
+    means = {name: sum(getattr(each, name) for each in found) / len(found) for name in found[0]._fields}
+    text = json.dumps({"mean": means, "batches": [each._asdict() for each in found]}, indent=1)
+    write_text(folder / "symetric.json", text + "\n")
+    line = "  ".join(f"{name} {value:.4g}" for name, value in means.items())
+    print(text if as_text else f"SyMetric, mean of {len(found)} batches of 5 test trajectories: {line}")
 
 
 def _chosen(dataset: "DataSet", model: "AbstractModel", names: tuple[str, ...]) -> "list[Protocol]":

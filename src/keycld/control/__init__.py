@@ -31,7 +31,6 @@ from keycld.control.outcome import upright as upright
 from keycld.control.planning import Plan as Plan
 from keycld.control.planning import Planner as Planner
 from keycld.control.plant import Plant as Plant
-from keycld.control.plant import advance as advance
 from keycld.control.registration import register_environments as register_environments
 from keycld.control.registry import AbstractControlLaw as AbstractControlLaw
 from keycld.control.registry import Problem as Problem
@@ -47,6 +46,7 @@ from keycld.control.state_estimator import PredictCorrect as PredictCorrect
 from keycld.control.swing_up import ControlConfig as ControlConfig
 from keycld.control.swing_up import swing_up as swing_up
 from keycld.control.swing_up import upright_picture as upright_picture
+from keycld.systems import advance as advance
 
 __all__ = [
     "AbstractControlLaw",

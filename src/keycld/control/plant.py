@@ -2,18 +2,10 @@
 
 from collections.abc import Sequence
 from types import TracebackType
-from typing import NamedTuple
 
 import numpy as np
 
-from keycld.systems import AbstractMujocoSystem, Task, Workers, render_in_worker
-
-
-class Advanced(NamedTuple):
-    """States `[n, d]` and their pictures, uint8 `[n, H, W, 3]`."""
-
-    state: np.ndarray
-    frames: np.ndarray
+from keycld.systems import AbstractMujocoSystem, Task, Workers, advance_in_worker, render_in_worker
 
 
 class Plant:
@@ -48,22 +40,10 @@ class Plant:
         """Hold `inputs [n, l]` for one frame; return pictures of the states after it."""
         parts = self._split(len(self.state))
         tasks = [Task(advance_in_worker, (self.system, self.state[part], inputs[part])) for part in parts]
-        answers: list[Advanced] = self._workers.run(tasks)
+        answers = self._workers.run(tasks)
         self.state = np.concatenate([answer.state for answer in answers])
         return np.concatenate([answer.frames for answer in answers])
 
     def _split(self, count: int) -> Sequence[slice]:
         edges = np.linspace(0, count, min(count, self._workers.count) + 1).astype(int)
         return [slice(first, last) for first, last in zip(edges[:-1], edges[1:], strict=True)]
-
-
-def advance_in_worker(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> Advanced:
-    """Return states `[n, d]` one frame later under `inputs [n, l]`, with their pictures; for worker processes."""
-    after = advance(system, states, inputs)
-    return Advanced(after, render_in_worker(system, after).image)
-
-
-def advance(system: AbstractMujocoSystem, states: np.ndarray, inputs: np.ndarray) -> np.ndarray:
-    """Return states `[n, d]` one frame later under `inputs [n, l]`, without pictures."""
-    pairs = zip(states, inputs, strict=True)
-    return np.stack([system.simulate(state, u, 1, clip=False).state[-1] for state, u in pairs])

@@ -58,6 +58,7 @@ class Curve:
         dashed: for what is not a result (baselines, references).
         low: lower edge of the band `[n]`.
         high: upper edge of the band `[n]`.
+        points: plot points without a line between them.
     """
 
     x: Shaped[np.ndarray, "n"]
@@ -67,6 +68,7 @@ class Curve:
     dashed: bool = False
     low: Shaped[np.ndarray, "n"] | None = None
     high: Shaped[np.ndarray, "n"] | None = None
+    points: bool = False
 
 
 @dataclass(frozen=True)
@@ -295,12 +297,12 @@ def _plot(axes: "Axes", curves: Sequence[Curve], logarithmic: bool) -> None:
         style = (0, (4, 2)) if curve.dashed else "-"
         weight = 1.2 if curve.dashed else 1.6
         # Few points get markers: a single one has no line.
-        marker = "o" if np.count_nonzero(np.isfinite(curve.y)) <= 8 else ""
+        marker = "o" if curve.points or np.count_nonzero(np.isfinite(curve.y)) <= 8 else ""
         axes.plot(
             curve.x,
             curve.y,
             color=colour,
-            linestyle=style,
+            linestyle="none" if curve.points else style,
             linewidth=weight,
             marker=marker,
             markersize=4.0,

@@ -9,6 +9,8 @@ from keycld.evaluation.evaluate import Evaluation as Evaluation
 from keycld.evaluation.evaluate import evaluate as evaluate
 from keycld.evaluation.evaluate import headline_vpt as headline_vpt
 from keycld.evaluation.geometry import difference as difference
+from keycld.evaluation.log_physics import IdentifiedLog as IdentifiedLog
+from keycld.evaluation.log_physics import identify_log as identify_log
 from keycld.evaluation.metrics import PixelMoments as PixelMoments
 from keycld.evaluation.metrics import epsilon as epsilon
 from keycld.evaluation.metrics import frame_errors as frame_errors
@@ -31,6 +33,7 @@ from keycld.evaluation.physics_file import Physics as Physics
 from keycld.evaluation.physics_file import Rejected as Rejected
 from keycld.evaluation.physics_file import load_physics as load_physics
 from keycld.evaluation.physics_file import save_physics as save_physics
+from keycld.evaluation.physics_table import physics_table as physics_table
 from keycld.evaluation.predicting import Predicted as Predicted
 from keycld.evaluation.predicting import predict as predict
 from keycld.evaluation.predicting import predict_batch as predict_batch
@@ -52,12 +55,19 @@ from keycld.evaluation.summary import setting_text as setting_text
 from keycld.evaluation.summary import summary as summary
 from keycld.evaluation.summary import threshold_text as threshold_text
 from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
+from keycld.evaluation.symetric import SyMetric as SyMetric
+from keycld.evaluation.symetric import score_symetric as score_symetric
+from keycld.evaluation.symetric import symetric as symetric
 
 __all__ = [
     "Constant",
     "DM_THRESHOLD",
     "Evaluation",
+    "IdentifiedLog",
     "METRICS",
+    "SyMetric",
+    "score_symetric",
+    "symetric",
     "Measured",
     "PAPER_VPT",
     "PHYSICS",
@@ -82,6 +92,7 @@ __all__ = [
     "fit_probe",
     "frame_errors",
     "headline_vpt",
+    "identify_log",
     "invert_landmarks",
     "load_evaluation",
     "load_physics",
@@ -89,6 +100,7 @@ __all__ = [
     "mean_image",
     "measure_physics",
     "observed_states",
+    "physics_table",
     "predict",
     "predict_batch",
     "predict_file",

@@ -110,7 +110,7 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
     with jax.enable_x64(True):
         law, values = found.unknowns.law(jnp.asarray(found.eta))
         pose = rest_pose(law, values, poses)
-    derived = derive(found, lambda eta: physical_constants(*found.unknowns.law(eta), pose, scale))
+    derived = derive(found, physical_constants, pose, scale)
     constants = {name: _constant(name, number) for name, number in derived.items()}
     if "viscous_rate" not in constants:
         constants["viscous_rate"] = Constant(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Bool, Float
 
+from keycld._errors import KeycldError
 from keycld.evaluation.geometry import difference, nearest, positions
 
 if TYPE_CHECKING:
@@ -65,7 +66,15 @@ def fit_probe(
     guesses: Float[np.ndarray, "G d"],
     angles: Bool[np.ndarray, "m"],
 ) -> Probe:
-    """Fit the least-squares map from `keypoints` and a one to the system's landmarks of `state`."""
+    """Fit the least-squares map from `keypoints` and a one to the system's landmarks of `state`.
+
+    Raises:
+        KeycldError: a keypoint is not finite.
+    """
+    if not np.all(np.isfinite(keypoints)):
+        raise KeycldError(
+            "the model observes keypoints that are not finite, so its weights are damaged: train it again."
+        )
     targets = system.landmarks(state).reshape(len(state), -1)
     matrix, *_ = np.linalg.lstsq(with_one(keypoints), targets, rcond=None)
     return Probe(system, matrix, guesses, angles)

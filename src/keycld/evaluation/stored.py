@@ -6,7 +6,7 @@ from typing import Any, Literal, NotRequired, TypedDict
 import numpy as np
 
 from keycld._files import checked_name
-from keycld._records import Name, Unexpected, checked
+from keycld._records import Name, NumberText, Unexpected, checked
 from keycld.evaluation.image_scores import ERROR_ARRAYS
 
 Number = float | None
@@ -29,7 +29,7 @@ class _Vpt(TypedDict):
 
 
 class _Baseline(TypedDict):
-    vpt: dict[str, _Vpt]
+    vpt: dict[NumberText, _Vpt]
     mse: Number
     normalised_error: NotRequired[dict[str, Number]]
     table_units: NotRequired[dict[str, Number]]
@@ -184,7 +184,8 @@ def _error_arrays(scores: Mapping[str, Any]) -> list[str]:
 def required(scores: Mapping[str, Any]) -> set[str]:
     """Return the names of the arrays that must be next to these scores."""
     if "law" in scores:
-        return {"frames", "goal_frame", "x", "good", "input", "tilts"}
+        shaped = {"kinetic", "desired"} if "passivity" in scores else set()
+        return {"frames", "goal_frame", "x", "good", "input", "tilts", *shaped}
     if "protocol" not in scores:
         return set()
     also = {"coordinate_error"} if "state" in scores else set()
@@ -198,10 +199,13 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
     Raises:
         Unexpected: says which.
     """
+    for name in layout(scores).keys() & arrays.keys():
+        _expect(len(arrays[name]) > 0, name)
     if "protocol" in scores:
         index, horizon = arrays["shown_index"], scores["protocol"]["horizon"]
         whole = len(index) > 1 and index.min() >= 0 and index.max() < horizon and np.all(np.diff(index) > 0)
         _expect(bool(whole) and len(arrays["truth"]) > 0, "shown_index")
+        _expect(np.all(np.isfinite(arrays["time"])), "time")
     elif "law" in scores:
         _expect(len(arrays["frames"]) == arrays["input"].shape[1] + 1 > 1 and arrays["x"].shape[2] % 2 == 0, "frames")
     elif arrays:
@@ -223,4 +227,5 @@ def _check_sweeps(arrays: Mapping[str, np.ndarray]) -> None:
         _expect(parts["shape"].shape == (count,) and parts["shape"].dtype.kind in "iu", name)
         _expect(int(np.prod(parts["shape"], dtype=float)) == n and min(parts["shape"]) > 0, name)
         _expect(all(parts[each].dtype.kind == "f" for each in ("values", "potential", "keypoints")), name)
+        _expect(np.all(np.isfinite(parts["values"])), name)
         _expect(parts["keypoints"].ndim == 3 and parts["image"].shape[-1] == 3, name)

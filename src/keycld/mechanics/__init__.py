@@ -57,6 +57,12 @@ from keycld.mechanics.integrators import RK4 as RK4
 from keycld.mechanics.integrators import AbstractIntegrator as AbstractIntegrator
 from keycld.mechanics.integrators import Euler as Euler
 from keycld.mechanics.integrators import Leapfrog as Leapfrog
+from keycld.mechanics.joint_balance import JointLaw as JointLaw
+from keycld.mechanics.joint_balance import fit_joint_law as fit_joint_law
+from keycld.mechanics.joint_balance import predict_joints as predict_joints
+from keycld.mechanics.joint_coordinates import Joint as Joint
+from keycld.mechanics.joint_coordinates import joint_positions as joint_positions
+from keycld.mechanics.joint_coordinates import joints_of as joints_of
 from keycld.mechanics.lagrangian import AbstractLagrangian as AbstractLagrangian
 from keycld.mechanics.lagrangian import AbstractLaw as AbstractLaw
 from keycld.mechanics.lagrangian import ConstrainedLagrangian as ConstrainedLagrangian
@@ -131,6 +137,8 @@ __all__ = [
     "GeneralizedLagrangian",
     "Hamiltonian",
     "HamiltonianDynamics",
+    "Joint",
+    "JointLaw",
     "Leapfrog",
     "LegendreLaw",
     "Linear",
@@ -168,9 +176,12 @@ __all__ = [
     "derive",
     "dump_constraints",
     "estimate",
+    "fit_joint_law",
     "fit_motions",
     "integrator_named",
     "joining_velocity",
+    "joint_positions",
+    "joints_of",
     "load_constraints",
     "mechanisms",
     "momentum",
@@ -178,6 +189,7 @@ __all__ = [
     "parse_constraints",
     "physical_constants",
     "predict_fan",
+    "predict_joints",
     "pulled_back",
     "register_relation",
     "register_term",

@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -117,17 +118,27 @@ def estimate(
         return _with_covariance(unknowns, eta, near, tracks, sigma, step)
 
 
-def derive(found: Estimate, function: Callable[[Float[Array, "P"]], dict[str, Array]]) -> dict[str, Derived]:
+def derive(found: Estimate, function: Callable[..., dict[str, Array]], *arguments: Any) -> dict[str, Derived]:
     """Return numbers that depend on η with their standard errors, by the delta method.
 
     Args:
         found: the estimate.
-        function: η → numbers by name, differentiable.
+        function: (law, constants of Φ, *arguments) → numbers by name, differentiable.
+        arguments: what else the function needs.
     """
     with jax.enable_x64(True):
-        eta = jnp.asarray(found.eta)
-        values, slopes = jax.jit(function)(eta), jax.jit(jax.jacfwd(function))(eta)
+        values, slopes = _differentiated(found.unknowns, jnp.asarray(found.eta), function, arguments)
     return {name: _derived(found, float(values[name]), np.asarray(slopes[name])) for name in values}
+
+
+@eqx.filter_jit
+def _differentiated(unknowns: Unknowns, eta: Array, function: Callable, arguments: tuple) -> tuple[Any, Any]:
+    def of(eta: Array) -> tuple[dict[str, Array], dict[str, Array]]:
+        numbers = function(*unknowns.law(eta), *arguments)
+        return numbers, numbers
+
+    slopes, values = jax.jacfwd(of, has_aux=True)(eta)
+    return values, slopes
 
 
 def _derived(found: Estimate, value: float, slope: np.ndarray) -> Derived:
@@ -176,8 +187,7 @@ def _with_covariance(
     normal = NormalEquations(near.slopes / sigma[:, None], error, _weight(error) ** 3, near.local)
     inverse, flat, scale = normal.inverse()
     used = len(eta) - flat.shape[1] + len(tracks) * near.local
-    left = tracks.size - used
-    if left <= 0:
+    if tracks.size <= used:
         raise KeycldError(f"{tracks.size} observed numbers do not determine {used} unknowns: use more frames.")
     scores = _weight(error) * error
     middle, inefficiency = np.zeros((len(eta), len(eta))), []
@@ -185,7 +195,7 @@ def _with_covariance(
         covariance = autocovariance(scores[:, :, d])
         middle = middle + lagged_products(normal.effect[:, :, d], covariance)
         inefficiency.append((2 * covariance.sum() - covariance[0]) / max(covariance[0], 1e-300))
-    share = tracks.size / left
+    share = tracks.size / (tracks.size - used)
     return Estimate(
         unknowns=unknowns,
         eta=eta,

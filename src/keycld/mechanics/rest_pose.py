@@ -56,7 +56,7 @@ def rest_pose(
     pose = np.asarray(x)
     _, values, vectors = np.linalg.svd(np.asarray(law.jacobian(x)).reshape(-1, len(pose)), full_matrices=True)
     basis = vectors[int(np.sum(values > 1e-8 * values.max(initial=0.0))) :].T
-    stiffness, mass, _ = _reduced(law, constants, RestPose(pose, basis, 0))
+    stiffness, mass, _ = eqx.filter_jit(_reduced)(law, constants, RestPose(pose, basis, 0))
     squares = np.real(np.linalg.eigvals(np.linalg.solve(np.asarray(mass), np.asarray(stiffness))))
     least = _FREE * np.abs(squares).max(initial=0.0)
     if squares.size == 0 or squares.min() < -least or squares.max() <= 0:

@@ -22,6 +22,18 @@ class Prediction(NamedTuple):
     states: State
 
 
+class Gaussian(NamedTuple):
+    """A normal distribution of independent numbers.
+
+    Attributes:
+        mean: μ.
+        deviation: σ, positive.
+    """
+
+    mean: Float[Array, "D"]
+    deviation: Float[Array, "D"]
+
+
 class AbstractModel(eqx.Module):
     """Images → state → later states → images, for **one** trajectory; `jax.vmap` makes batches.
 
@@ -162,6 +174,14 @@ class HasEnergies(eqx.Module):
     @abstractmethod
     def potential_energy(self, state: State) -> Float[Array, ""]:
         """Return V."""
+
+
+class HasPosterior(eqx.Module):
+    """A model that infers a normal distribution of a latent vector."""
+
+    @abstractmethod
+    def posterior(self, frames: Float[Array, "n H W 3"]) -> Gaussian:
+        """Return the distribution of the latent vector given the first `context` frames."""
 
 
 class HasConstraints(eqx.Module):

@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from keycld.models.base import AbstractModel
     from keycld.stages import Stage
 
+_LARGEST, _LARGEST_COUNT = 1e12, 2**31 - 1
+
 
 @dataclasses.dataclass(frozen=True)
 class ModelConfig(abc.ABC):
@@ -170,24 +172,19 @@ def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
 
 
 def _checked(value: Any, old: Any, kind: Any, what: str) -> Any:
-    """Return the value, converted to the type of the setting that it replaces; that of the field, if this is None."""
-    if old in (None, ()):
-        try:
-            return checked(tuple(value) if isinstance(value, list) else value, kind)
-        except Unexpected:
-            raise KeycldError(f"{what} does not take {value!r}.") from None
-    if isinstance(old, str) or not isinstance(old, (bool, int, float, tuple)):
-        return value
-    if isinstance(old, tuple):
-        value = tuple(value) if isinstance(value, (list, tuple)) else (value,)
-    parts = value if isinstance(value, tuple) else (value,)
-    kinds = {type(part) for part in (old if isinstance(old, tuple) else (old,))}
-    if kinds == {float}:
-        parts = tuple(float(part) if type(part) is int else part for part in parts)
-        value = parts if isinstance(value, tuple) else parts[0]
-    if not parts or {type(part) for part in parts} - kinds:
-        raise KeycldError(f"{what} takes a {type(old).__name__} such as {old}, not {value!r}.")
-    return value
+    """Return the value as the type of its field; one number stands for a list of one."""
+    wanted = tuple(value) if isinstance(value, list) else value
+    if isinstance(old, tuple) and not isinstance(wanted, tuple):
+        wanted = (wanted,)
+    found, fits = None, True
+    try:
+        found = checked(wanted, kind)
+    except Unexpected:
+        fits = False
+    if not fits or (found == () and old):
+        words = f"takes a {type(old).__name__} such as {old}, not" if old not in (None, ()) else "does not take"
+        raise KeycldError(f"{what} {words} {value!r}.")
+    return found
 
 
 def _check_numbers(config: Any, prefix: str) -> None:
@@ -197,5 +194,12 @@ def _check_numbers(config: Any, prefix: str) -> None:
             _check_numbers(value, f"{prefix}{field.name}.")
             continue
         for part in value if isinstance(value, tuple) else (value,):
-            if isinstance(part, (int, float)) and not (part >= 0 and math.isfinite(part)):
+            if not isinstance(part, (int, float)):
+                continue
+            if not (part >= 0 and math.isfinite(part)):
                 raise KeycldError(f"setting {prefix}{field.name} is a finite number of at least 0, not {part}.")
+            # Beyond these, squares and reciprocals in single precision, or counts in 32 bits, are lost.
+            if part > (_LARGEST_COUNT if isinstance(part, int) else _LARGEST) or 0 < part < 1 / _LARGEST:
+                raise KeycldError(
+                    f"setting {prefix}{field.name} is 0 or between 1e-12 and 1e12, a count below 2^31, not {part}."
+                )

@@ -3,7 +3,17 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from keycld.benchmarks import Board, Experiment, Place, boards, done_results, model_title, tables
+from keycld.benchmarks import (
+    Board,
+    Experiment,
+    Place,
+    boards,
+    cost_figure,
+    done_results,
+    model_title,
+    shown_protocols,
+    tables,
+)
 from keycld.benchmarks.pictures import gallery, sheet_of
 from keycld.reports import html
 from keycld.reports.page import write_page
@@ -68,7 +78,7 @@ def heat_map(board: Board, labels: Sequence[str], models: Sequence[str]) -> str:
 
 def _rollouts(experiments: Sequence[Experiment], place: Place, labels: Sequence[str]) -> str:
     pictures = []
-    for protocol in (each for each in experiments[0].protocols if each.trajectories == 20 and each.horizon == 256):
+    for protocol in shown_protocols(experiments):
         for label in labels:
             shown = gallery(experiments, place, label, protocol)
             if shown is None:
@@ -94,4 +104,6 @@ def _cost(experiments: Sequence[Experiment], place: Place, models: Sequence[str]
         score = f"{sum(scores) / len(scores):.3f}"
         rows.append([html.text(model_title(model)), str(len(mine)), f"{minutes:.1f}", score])
     head = ["model", "trainings", "minutes of one, mean", "VPT forward, mean"]
-    return html.section("cost", "Cost and score", html.table(head, rows))
+    figure = cost_figure(experiments, place)
+    plot = "" if figure is None else html.figure(html.chart(figure, "cost"), "A point for each set and seed.")
+    return html.section("cost", "Cost and score", html.table(head, rows) + plot)

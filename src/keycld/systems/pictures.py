@@ -4,9 +4,7 @@ import atexit
 from contextlib import AbstractContextManager
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, UInt8
 
 from keycld.systems.base import StateRenderer
 from keycld.systems.processes import Task, run_in_processes
@@ -54,8 +52,3 @@ def render(system: Renderable, states: np.ndarray) -> Pictures:
     """
     [(_, pictures)] = run_in_processes([Task(render_in_worker, (system, states))])
     return pictures
-
-
-def to_bytes(picture: Float[Array, "*any"]) -> UInt8[Array, "*any"]:
-    """Return the grey levels 0 to 255 of values in [0, 1], cut off and not rounded, as the suite stores them."""
-    return (255.0 * picture).astype(jnp.uint8)

@@ -7,11 +7,12 @@ from functools import partial
 from typing import Any, ClassVar, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, UInt8
 
 from keycld.systems.base import AbstractSystem
-from keycld.systems.pictures import Pictures, to_bytes
+from keycld.systems.pictures import Pictures
 
 # The protocols of "Which priors matter?": the released configurations, and the text of the paper where it differs.
 RELEASED, PAPER = "priors-released", "priors-paper"
@@ -140,6 +141,11 @@ def in_single_precision(parameters: Mapping[str, np.ndarray]) -> dict[str, np.nd
     """Return the parameters without texts, with 32 bits a number."""
     kinds: dict[str, Any] = {"f": np.float32, "i": np.int32, "u": np.int32}
     return {name: value.astype(kinds[value.dtype.kind]) for name, value in numbers_only(parameters).items()}
+
+
+def to_bytes(picture: Float[Array, "*any"]) -> UInt8[Array, "*any"]:
+    """Return the grey levels 0 to 255 of values in [0, 1], cut off and not rounded, as the suite stores them."""
+    return (255.0 * picture).astype(jnp.uint8)
 
 
 @partial(jax.jit, static_argnums=0)

@@ -14,6 +14,7 @@ import jax
 import numpy as np
 
 from keycld._errors import KeycldError, check_minutes, check_seed
+from keycld._files import remove_orphans
 from keycld._lock import locked
 from keycld.data import DataSet, open_data, sha256
 from keycld.evaluation import frame_errors, predict, valid_prediction_time, validation_epsilon
@@ -113,6 +114,9 @@ def train(
     with locked(folder / ".lock") as mine:
         if not mine:
             raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
+        for each in (folder, folder / "checkpoints"):
+            if each.exists():
+                remove_orphans(each)
         open_run(folder, run)
         with contextlib.closing(make_tracker(track, folder, dataclasses.asdict(run))) as tracker:
             return train_stages(

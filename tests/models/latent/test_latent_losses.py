@@ -10,8 +10,8 @@ import pytest
 
 from keycld.data import Clip, resident
 from keycld.models import Scene, config_for
+from keycld.models.base import Gaussian
 from keycld.models.latent.losses import ELBOLoss, GECOLoss, Targets, divergence, posterior_statistics, reconstruct
-from keycld.models.latent.model import Gaussian
 from keycld.training.step import initial_progress, make_step
 from scenes import disc_pendulum
 

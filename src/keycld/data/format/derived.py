@@ -3,6 +3,7 @@
 import dataclasses
 from pathlib import Path
 
+import jax
 import numpy as np
 
 from keycld._errors import KeycldError
@@ -40,7 +41,7 @@ def renderer_of(trajectories: Trajectories) -> AbstractRenderedSystem | None:
     """Find the system that renders these states; None if no registered system does.
 
     Raises:
-        KeycldError: they are for another version of the renderer.
+        KeycldError: they are for another version of the renderer, or not what it renders.
     """
     about, system = trajectories.attributes, known(trajectories)
     if not isinstance(system, AbstractRenderedSystem) or trajectories.state is None:
@@ -52,7 +53,29 @@ def renderer_of(trajectories: Trajectories) -> AbstractRenderedSystem | None:
             f"these {about['system']} data are to be rendered by version {about.get('renderer_version')} of "
             f"'{system.renderer}', but this keycld has version {system.renderer_version}: make the data again."
         )
+    _refuse_other_fields(system, trajectories)
     return system
+
+
+def _refuse_other_fields(system: AbstractRenderedSystem, trajectories: Trajectories) -> None:
+    """Refuse a state or parameters of which the system makes no picture or derivative; only shapes are computed."""
+    assert trajectories.state is not None
+    if len(trajectories.state) == 0:
+        return
+    state = trajectories.state[0, 0]
+    parameters = {name: value[0] for name, value in numbers_only(trajectories.parameters).items()}
+    try:
+        picture = jax.eval_shape(system.picture, state, parameters).shape
+        derivative = jax.eval_shape(system.derivative, state, parameters).shape
+        fits = picture == (system.size, system.size, 3) and derivative == state.shape
+    except (KeyError, IndexError, TypeError, ValueError):
+        fits = False
+    if not fits:
+        raise KeycldError(
+            f"the states or the parameters of these {system.name} data are not those from which their pictures are "
+            f"rendered (states of {state.shape[0]} numbers; parameters {', '.join(sorted(parameters)) or 'none'}): "
+            "make the data again."
+        )
 
 
 def with_pictures(trajectories: Trajectories) -> Trajectories:

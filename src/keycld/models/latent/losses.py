@@ -13,7 +13,8 @@ import optax
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.data import Clip
-from keycld.models.latent.model import AbstractLatentModel, Gaussian
+from keycld.models.base import Gaussian
+from keycld.models.latent.model import AbstractLatentModel
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Terms
 from keycld.vision import ImageDecoder, mean_in_chunks
 

@@ -1,14 +1,14 @@
 """The chassis: frames → latent vector → dynamics → frames. A model adds what the latent vector means."""
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keycld.mechanics import FirstOrderDynamics, HamiltonianDynamics, MechanicalDynamics, State
-from keycld.models.base import AbstractModel
+from keycld.models.base import AbstractModel, Gaussian, HasPosterior
 from keycld.models.checks import check_inputs, check_size
 from keycld.models.scene import Scene
 from keycld.vision import ImageDecoder, ImageEncoder, MapEncoder
@@ -17,19 +17,7 @@ if TYPE_CHECKING:
     from keycld.models.latent.config import LatentConfig
 
 
-class Gaussian(NamedTuple):
-    """A normal distribution of independent numbers.
-
-    Attributes:
-        mean: μ.
-        deviation: σ, positive.
-    """
-
-    mean: Float[Array, "D"]
-    deviation: Float[Array, "D"]
-
-
-class AbstractLatentModel(AbstractModel):
+class AbstractLatentModel(AbstractModel, HasPosterior):
     """A variational autoencoder around latent dynamics ("Which priors matter?", section 3).
 
     A few frames, stacked as channels, become a normal distribution of the latent vector z. Training samples z,

@@ -1,0 +1,120 @@
+"""Identification of a rig from a log of joint positions and torques."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from keycld._errors import KeycldError
+from keycld.data.imports.log import Log
+from keycld.evaluation.physics_file import Constant, Physics
+from keycld.mechanics import Constraints, JointLaw, fit_joint_law, joints_of, predict_joints
+
+
+class IdentifiedLog(NamedTuple):
+    """The result of `identify_log`.
+
+    Attributes:
+        physics: what `save_physics` stores.
+        time: seconds of the held-out samples `[T]`.
+        measured: joint positions there `[T, d]`.
+        predicted: those of the law, from the first samples and the torques.
+        sigma: standard errors of the predicted positions.
+    """
+
+    physics: Physics
+    time: Float[np.ndarray, "T"]
+    measured: Float[np.ndarray, "T d"]
+    predicted: Float[np.ndarray, "T d"]
+    sigma: Float[np.ndarray, "T d"]
+
+
+def identify_log(
+    log: Log,
+    constraints: Constraints,
+    mechanism: str | None,
+    *,
+    lengths: tuple[float, ...] | None = None,
+    held: float = 1 / 3,
+    given: float = 0.1,
+) -> IdentifiedLog:
+    """Find inertia, weight and friction of a rig from the first part of a log, and predict the rest from its torques.
+
+    A measured torque determines the common factor of masses and forces that a video leaves open.
+
+    Args:
+        log: positions and torques, one torque for each of the first joints.
+        constraints: of the mechanism, an open chain.
+        mechanism: its name.
+        lengths: of the links, metres; 1 each by default. Inertias and torques of joints do not depend on them.
+        held: share of the log at its end that only the prediction is compared with.
+        given: seconds of the held-out part from which the prediction begins.
+
+    Raises:
+        KeycldError: the columns do not fit the mechanism, or the log does not determine the law.
+    """
+    joints = joints_of(constraints)
+    if log.q.shape[1] != len(joints):
+        raise KeycldError(f"this mechanism has {len(joints)} joints, but {log.q.shape[1]} positions are named.")
+    if not 0 < log.u.shape[1] <= len(joints):
+        raise KeycldError(f"name 1 to {len(joints)} columns of torques with --input, not {log.u.shape[1]}.")
+    if not 0 <= held < 0.9:
+        raise KeycldError(f"the held-out share is from 0 to 0.9, not {held}.")
+    long = lengths or (1.0,) * len(joints)
+    torque = np.pad(log.u, ((0, 0), (0, len(joints) - log.u.shape[1])))
+    fitted = round((1 - held) * len(log.q))
+    found = fit_joint_law(joints, long, log.q[:fitted], torque[:fitted], log.dt)
+    with jax.enable_x64(True):
+        law = JointLaw.of(jnp.asarray(found.theta), joints, long)
+        constants = dict(_constants(law, found.covariance, len(found.theta)))
+    count = max(4, round(given / log.dt))
+    measured, prediction = log.q[fitted:], {}
+    predicted, sigma = np.zeros((2, 0, len(joints)))
+    if len(measured) > count:
+        predicted, sigma = predict_joints(found, joints, long, measured[:count], torque[fitted:], log.dt)
+        off = (predicted - measured)[count:]
+        prediction = {
+            "given_seconds": count * log.dt,
+            "seconds": len(off) * log.dt,
+            "rms": np.sqrt(np.mean(off**2, axis=0)).tolist(),
+            "sigma_rms": np.sqrt(np.mean(sigma[count:] ** 2, axis=0)).tolist(),
+            "range": np.ptp(measured, axis=0).tolist(),
+        }
+    physics = Physics(mechanism=mechanism, fps=1 / log.dt, constants=constants, rejected={}, prediction=prediction)
+    return IdentifiedLog(physics, log.dt * np.arange(fitted, len(log.q)), measured, predicted, sigma)
+
+
+def _constants(law: JointLaw, covariance: np.ndarray, size: int) -> Iterator[tuple[str, Constant]]:
+    """Return inertia at rest, gravity torque, friction and offset of the joints; all are linear in θ."""
+    d = len(law.joints)
+
+    def of(theta: jax.Array) -> dict[str, jax.Array]:
+        other = JointLaw.of(theta, law.joints, law.lengths)
+        inertia = other.inertia(jnp.zeros(d, theta.dtype))
+        found = {f"inertia_{i + 1}_{j + 1}": inertia[i, j] for i in range(d) for j in range(i, d)}
+        parts = {
+            "gravity_torque": other.gravity_torques(),
+            "viscous_friction": other.viscous,
+            "dry_friction": other.dry,
+            "torque_offset": other.offset,
+        }
+        return found | {f"{name}_{k + 1}": part[k] for name, part in parts.items() for k in range(d)}
+
+    slopes = jax.jacfwd(of)(jnp.zeros(size))
+    values = of(_theta(law))
+    units = {"inertia": "kg m²", "viscous": "N m s"}
+    for name, slope in slopes.items():
+        g = np.asarray(slope)
+        unit = units.get(name.split("_")[0], "N m")
+        short = name.replace("_1_1", "").removesuffix("_1") if d == 1 else name
+        sigma = float(np.sqrt(g @ covariance @ g))
+        if sigma > 0 or float(values[name]) != 0:
+            yield short, Constant(value=float(values[name]), sigma=sigma, unit=unit, identifiable=True)
+
+
+def _theta(law: JointLaw) -> jax.Array:
+    lower = law.mass[np.tril_indices(len(law.joints))]
+    return jnp.concatenate([lower, law.weight, law.viscous, law.dry, law.offset])

@@ -1,0 +1,84 @@
+"""A rig with encoders: what its log shows of inertia, weight and friction."""
+
+import math
+
+import numpy as np
+import pytest
+
+from keycld._errors import KeycldError
+from keycld.data.imports.log import read_log
+from keycld.evaluation import identify_log, physics_table
+from keycld.mechanics import load_constraints
+
+DT, SAMPLES = 1 / 250, 2000
+INERTIA, WEIGHT, VISCOUS, DRY, OFFSET = 0.06, 1.0, 0.05, 0.2, -0.08
+
+
+def torque(k):
+    return 1.2 * math.sin(0.6 * k * DT * (1 + 0.3 * k * DT)) + 0.4 * math.sin(9 * k * DT)
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """J q̈ = τ − G sin q − b q̇ − c q̇/√(q̇² + ε²) − o, by small steps; torques with 20 % noise, encoder steps of 1e-4."""
+    q, rate, rows, fine = 0.0, 0.0, [], 20
+    rng = np.random.default_rng(0)
+    for k in range(SAMPLES):
+        rows.append((k * DT, round(q, 4), torque(k) + 0.2 * rng.standard_normal()))
+        for _ in range(fine):
+            friction = VISCOUS * rate + DRY * rate / math.hypot(rate, 0.05)
+            rate += DT / fine * (torque(k) - WEIGHT * math.sin(q) - friction - OFFSET) / INERTIA
+            q += DT / fine * rate
+    path = tmp_path_factory.mktemp("rig") / "log.csv"
+    path.write_text("time,position,torque\n" + "".join(f"{t:.6f},{q},{u}\n" for t, q, u in rows))
+    return path
+
+
+def test_inertia_weight_and_friction_of_a_rig(rig):
+    found = identify_log(read_log(rig, ("position",), ("torque",)), load_constraints("pendulum"), "pendulum")
+    constants = found.physics["constants"]
+    truth = {
+        "inertia": INERTIA,
+        "gravity_torque": WEIGHT,
+        "viscous_friction": VISCOUS,
+        "dry_friction": DRY,
+        "torque_offset": OFFSET,
+    }
+    assert constants.keys() == truth.keys()
+    for name, value in truth.items():
+        assert abs(constants[name]["value"] - value) < 3.5 * constants[name]["sigma"] + 0.01 * abs(value), name
+    assert constants["inertia"]["value"] == pytest.approx(INERTIA, rel=0.1)
+    assert constants["gravity_torque"]["value"] == pytest.approx(WEIGHT, rel=0.1)
+    assert "inertia" in physics_table(found.physics)
+
+
+def test_the_rest_of_the_log_is_predicted_from_its_torques(rig):
+    found = identify_log(read_log(rig, ("position",), ("torque",)), load_constraints("pendulum"), "pendulum")
+    off = np.abs(found.predicted - found.measured)
+    assert np.median(off) < 0.1 * np.ptp(found.measured)
+    assert np.mean(off < 3 * found.sigma + 1e-3) > 0.9
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text.replace("torque", "tau", 1), "unknown column"),
+        (lambda text: text.replace("\n", "\n0.0,nan,0.0\n", 1), "must have a number"),
+        (lambda text: "\n".join(text.split("\n")[:300] + text.split("\n")[700:]), "uneven"),
+        (lambda text: "\n".join(text.split("\n")[:9]), "are the least"),
+        (lambda text: "", "the file is empty"),
+    ],
+)
+def test_a_wrong_log_is_one_sentence(rig, tmp_path, change, message):
+    path = tmp_path / "wrong.csv"
+    path.write_text(change(rig.read_text()))
+    with pytest.raises(KeycldError, match=message):
+        read_log(path, ("position",), ("torque",))
+
+
+def test_columns_that_do_not_fit_the_mechanism(rig):
+    log = read_log(rig, ("position",), ("torque",))
+    with pytest.raises(KeycldError, match="has 2 joints"):
+        identify_log(log, load_constraints("double-pendulum"), "double-pendulum")
+    with pytest.raises(KeycldError, match="--input"):
+        identify_log(log._replace(u=log.u[:, :0]), load_constraints("pendulum"), "pendulum")
