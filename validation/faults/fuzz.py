@@ -20,7 +20,6 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +53,17 @@ class Worker:
             os.close(handle)
         os.set_blocking(self._said, False)
 
-    def run(self, words: list[str], outer: Path, limit: float) -> dict[str, Any]:
-        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on."""
+    def run(self, words: list[str], outer: Path, limit: float, largest: int = -1) -> dict[str, Any]:
+        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on.
+
+        Args:
+            words: of the command.
+            outer: the working directory.
+            limit: seconds of the processor.
+            largest: bytes that a file may have; -1: any.
+        """
         since, before = time.monotonic(), _processor_seconds(self._pid)
-        os.write(self._ask, json.dumps([words, str(outer)]).encode() + b"\n")
+        os.write(self._ask, json.dumps([words, str(outer), largest]).encode() + b"\n")
         said, answer, hung = bytearray(), b"", False
         while not answer.endswith(b"\n"):
             ready = select.select([self._answers, self._said], [], [], 0.2)[0]
@@ -118,11 +124,13 @@ def _serve(base: Path, asked: int, answer: int, speaking: int) -> None:
     sys.addaudithook(watch)
     with os.fdopen(asked) as orders:
         for line in orders:
-            words, outer = json.loads(line)
+            words, outer, largest = json.loads(line)
             outside.clear()
             os.chdir(outer)
             Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, resource.RLIM_INFINITY))
             code = exit_code(words)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
             status = Path("/proc/self/status").read_text()
             peak = int(status.partition("VmHWM:")[2].split()[0]) * 1024
             os.write(answer, json.dumps([code, peak, outside[:5]]).encode() + b"\n")
@@ -153,8 +161,8 @@ def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str
             **found}  # fmt: skip
 
 
-def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], object] = lambda: None) -> dict[str, Any]:
-    """Run one verb in a forked process of its own, which calls `first` before, and judge how it ends."""
+def run_verb(words: list[str], outer: Path, limit: float) -> dict[str, Any]:
+    """Run one verb in a forked process of its own, and judge how it ends."""
     since = time.monotonic()
     listening, speaking = os.pipe()
     child = os.fork()
@@ -162,7 +170,6 @@ def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], ob
         os.close(listening)
         _detach(speaking)
         os.chdir(outer)
-        first()
         os._exit(exit_code(words))
     os.close(speaking)
     os.set_blocking(listening, False)

@@ -256,6 +256,8 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
     Raises:
         Unexpected: says which.
     """
+    for name in layout(scores).keys() & arrays.keys():
+        _expect(len(arrays[name]) > 0, name)
     if "protocol" in scores:
         index, horizon = arrays["shown_index"], scores["protocol"]["horizon"]
         whole = len(index) > 1 and index.min() >= 0 and index.max() < horizon and np.all(np.diff(index) > 0)
