@@ -318,7 +318,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", help="first words of the verbs to run; by default all")
+    parser.add_argument("--only", nargs="*", help="first words of verbs, or files; by default all")
     parser.add_argument("--work", type=Path, required=True)
     options = parser.parse_args()
     base = options.work.resolve()
@@ -333,8 +333,8 @@ def main() -> None:
     worker = Worker(base)
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
-            _, words = chosen(number, options.seed)
-            if number in known or (options.only and words[0] not in options.only):
+            target, words = chosen(number, options.seed)
+            if number in known or (options.only and not {words[0], target.file} & set(options.only)):
                 continue
             if " ".join(words) not in usual:
                 usual[" ".join(words)] = usual_seconds(words, base)
