@@ -11,7 +11,7 @@ import tyro
 from keycld._compile_cache import SWITCH, use_compile_cache
 from keycld._errors import KeycldError, unknown
 from keycld._version import __version__
-from keycld.cli import bench, control, data, demo, evaluate, identify, info, models, predict, report, train
+from keycld.cli import bench, control, data, demo, evaluate, export, identify, info, models, predict, report, train
 from keycld.cli.start import entry, say, unforeseen
 
 
@@ -33,6 +33,7 @@ VERBS: dict[str, Callable] = {
     "predict": predict.predict,
     "control": control.control,
     "identify": identify.identify,
+    "export": export.export,
     "report": report.report,
     "bench": benchmarks,
     "models": models.models,
