@@ -69,9 +69,14 @@ def observed_tracks(model: HasKeypoints, data: "DataSet", split: str) -> Keypoin
     return KeypointTracks(names, x, np.concatenate(inputs), float(data.dt))
 
 
-def probed_system(data: "DataSet", shared: References) -> AbstractSystem | None:
-    """Return the system whose landmarks a probe is fitted to; None where it is unknown or the data have no states."""
+def probed_system(data: "DataSet", shared: References, split: str) -> AbstractSystem | None:
+    """Return the system whose landmarks a probe is fitted to.
+
+    None where it is unknown, or where `split` or the files that the probe needs have no states.
+    """
     if shared.states is None or data.system not in names():
+        return None
+    if any(data.split(name, images=False, rows=slice(0, 1)).state is None for name in ("validation", split)):
         return None
     system = get(data.system)
     return system if system.keypoints else None
