@@ -122,7 +122,7 @@ class _Errors(TypedDict):
 
 class _Followed(TypedDict):
     error: _Errors
-    valid: dict[str, float]
+    valid: dict[NumberText, float]
 
 
 class _Residual(TypedDict):
