@@ -9,6 +9,7 @@ compiled programs are warm; it is replaced when it hangs, dies or grows.
 
 import argparse
 import contextlib
+import io
 import json
 import os
 import resource
@@ -210,17 +211,13 @@ def _detach(speaking: int) -> None:
 def exit_code(words: list[str]) -> int:
     """Run a verb in this process and return the code with which it would end.
 
-    `child ROOT RESULTS` is what `bench run` starts for a small experiment.
+    `child ROOT RESULTS` is what `bench run` starts for a small experiment; it says what it records for `bench run`.
     """
     from keycld.cli.main import main
 
     try:
         if words[0] == "child":
-            from validation.faults.originals import small_experiment
-
-            from keycld.benchmarks.child import main as child
-
-            return child([str(os.getppid()), small_experiment().to_json(), *words[1:]])
+            return _child(*words[1:])
         return main(words)
     except SystemExit as error:
         return int(error.code or 0)
@@ -229,6 +226,26 @@ def exit_code(words: list[str]) -> int:
         return 70
     finally:
         sys.stderr.flush()
+
+
+def _child(root: str, results: str) -> int:
+    from validation.faults.originals import small_experiment
+
+    from keycld import KeycldError
+    from keycld.benchmarks import Place
+    from keycld.benchmarks.child import main as child
+
+    experiment = small_experiment()
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            code = child([str(os.getppid()), experiment.to_json(), root, results])
+        failure = Place(Path(root), Path(results)).failure(experiment)
+        said = json.loads(failure.read_text())["sentence"] if code else ""
+    except KeycldError as error:
+        code, said = 2, str(error)
+    if code:
+        print(f"keycld: {said}", file=sys.stderr)
+    return 2 if code else 0
 
 
 def _processor_seconds(pid: int) -> float:
@@ -301,7 +318,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", help="first words of the verbs to run; by default all")
+    parser.add_argument("--only", nargs="*", help="first words of verbs, or files; by default all")
     parser.add_argument("--work", type=Path, required=True)
     options = parser.parse_args()
     base = options.work.resolve()
@@ -316,8 +333,8 @@ def main() -> None:
     worker = Worker(base)
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
-            _, words = chosen(number, options.seed)
-            if number in known or (options.only and words[0] not in options.only):
+            target, words = chosen(number, options.seed)
+            if number in known or (options.only and not {words[0], target.file} & set(options.only)):
                 continue
             if " ".join(words) not in usual:
                 usual[" ".join(words)] = usual_seconds(words, base)

@@ -18,12 +18,17 @@ from keycld.evaluation.metrics import mean_image as mean_image
 from keycld.evaluation.metrics import relative_errors as relative_errors
 from keycld.evaluation.metrics import statistics as statistics
 from keycld.evaluation.metrics import valid_prediction_time as valid_prediction_time
+from keycld.evaluation.motion import GIVEN as GIVEN
+from keycld.evaluation.motion import MOTION as MOTION
+from keycld.evaluation.motion import evaluate_motion as evaluate_motion
+from keycld.evaluation.motion import training_tracks as training_tracks
 from keycld.evaluation.named_protocols import PROTOCOLS as PROTOCOLS
 from keycld.evaluation.named_protocols import make_protocol as make_protocol
 from keycld.evaluation.named_protocols import protocol_named as protocol_named
 from keycld.evaluation.named_protocols import protocols_for as protocols_for
 from keycld.evaluation.named_protocols import with_given as with_given
 from keycld.evaluation.observing import observed_states as observed_states
+from keycld.evaluation.observing import observed_tracks as observed_tracks
 from keycld.evaluation.physics import Measured as Measured
 from keycld.evaluation.physics import constants_of as constants_of
 from keycld.evaluation.physics import measure_physics as measure_physics
@@ -63,11 +68,10 @@ __all__ = [
     "Constant",
     "DM_THRESHOLD",
     "Evaluation",
+    "GIVEN",
     "IdentifiedLog",
     "METRICS",
-    "SyMetric",
-    "score_symetric",
-    "symetric",
+    "MOTION",
     "Measured",
     "PAPER_VPT",
     "PHYSICS",
@@ -79,6 +83,7 @@ __all__ = [
     "Protocol",
     "References",
     "Rejected",
+    "SyMetric",
     "TABLE_UNITS",
     "as_json",
     "baseline_predictions",
@@ -88,6 +93,7 @@ __all__ = [
     "energy_drift",
     "epsilon",
     "evaluate",
+    "evaluate_motion",
     "evaluate_sweeps",
     "fit_probe",
     "frame_errors",
@@ -100,6 +106,7 @@ __all__ = [
     "mean_image",
     "measure_physics",
     "observed_states",
+    "observed_tracks",
     "physics_table",
     "predict",
     "predict_batch",
@@ -111,10 +118,13 @@ __all__ = [
     "relative_errors",
     "save_evaluation",
     "save_physics",
+    "score_symetric",
     "setting_text",
     "statistics",
     "summary",
+    "symetric",
     "threshold_text",
+    "training_tracks",
     "valid_prediction_time",
     "validation_epsilon",
     "with_given",

@@ -51,6 +51,7 @@ class Physics(TypedDict):
         constants: by name; the names are stable (docs/physics.md).
         rejected: forces that were tried and dropped, by kind.
         prediction: scores of a prediction that was not part of the fit, {} without one.
+        given: what the user has measured, by the name of the constant.
     """
 
     mechanism: str | None
@@ -58,6 +59,7 @@ class Physics(TypedDict):
     constants: dict[str, Constant]
     rejected: dict[str, Rejected]
     prediction: dict[str, Any]
+    given: NotRequired[dict[str, float]]
 
 
 def save_physics(folder: str | Path, physics: Physics) -> Path:
@@ -78,6 +80,4 @@ def load_physics(folder: str | Path) -> Physics:
     try:
         return read_json(path, Physics, "measure the physics again")
     except FileNotFoundError as error:
-        raise KeycldError(
-            f"no physical constants in '{folder}': run `keycld watch` or `keycld identify` first."
-        ) from error
+        raise KeycldError(f"no physical constants in '{folder}': measure them first (docs/physics.md).") from error

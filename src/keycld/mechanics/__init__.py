@@ -5,6 +5,7 @@ from keycld.mechanics.adaptive import DormandPrince as DormandPrince
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
 from keycld.mechanics.circle import nearest_circle as nearest_circle
 from keycld.mechanics.constants import Scale as Scale
+from keycld.mechanics.constants import lengths_of as lengths_of
 from keycld.mechanics.constants import physical_constants as physical_constants
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
 from keycld.mechanics.constraints import Constraints as Constraints
@@ -71,6 +72,7 @@ from keycld.mechanics.linear import solve_positive as solve_positive
 from keycld.mechanics.masses import AbstractMassMatrix as AbstractMassMatrix
 from keycld.mechanics.masses import CoupledMasses as CoupledMasses
 from keycld.mechanics.masses import PointMasses as PointMasses
+from keycld.mechanics.mjcf import to_mjcf as to_mjcf
 from keycld.mechanics.named import integrator_named as integrator_named
 from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatrix
 from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
@@ -182,6 +184,7 @@ __all__ = [
     "joining_velocity",
     "joint_positions",
     "joints_of",
+    "lengths_of",
     "load_constraints",
     "mechanisms",
     "momentum",
@@ -202,6 +205,7 @@ __all__ = [
     "term_kinds",
     "terms_of",
     "to_hamiltonian",
+    "to_mjcf",
     "truncated_normal",
     "two_point_masses",
     "with_kinds",
