@@ -1,5 +1,6 @@
 """Hostile files, full disks and kills: the quick part of `validation/faults`."""
 
+import errno
 import fcntl
 import json
 import os
@@ -90,6 +91,19 @@ def test_a_disk_that_fills_up_leaves_the_old_file(tmp_path, small_files, name):
         else:
             save_movie(path, NOISE, scale=1)
     assert path.read_text() == "old" and os.listdir(tmp_path) == [name]
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_quota_is_a_full_disk(tmp_path, number, monkeypatch):
+    (tmp_path / "a.txt").write_text("old")
+
+    def refuses(*arguments, **options):
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(Path, "write_text", refuses)
+    with pytest.raises(KeycldError, match="the disk is full while writing"):
+        write_text(tmp_path / "a.txt", "new")
+    assert (tmp_path / "a.txt").read_text() == "old" and os.listdir(tmp_path) == ["a.txt"]
 
 
 def spoil(path, change):

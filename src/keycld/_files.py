@@ -185,7 +185,7 @@ def sync(path: Path) -> None:
 def writing_error(path: Path, error: OSError) -> KeycldError:
     """Return the error for a file that could not be written."""
     # Libraries give the reason in the text only.
-    if error.errno in (errno.ENOSPC, errno.EDQUOT) or "No space left" in str(error):
+    if error.errno in (errno.ENOSPC, errno.EDQUOT) or re.search("No space left|quota exceeded", str(error)):
         return KeycldError(f"the disk is full while writing {path}: free some space and run it again.")
     if error.errno == errno.EFBIG:
         return KeycldError(f"{path} is larger than this account may write (ulimit -f): raise the limit.")

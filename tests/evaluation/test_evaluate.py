@@ -17,6 +17,7 @@ from keycld.evaluation import (
     save_evaluation,
     summary,
 )
+from keycld.evaluation.observing import probed_system
 from keycld.evaluation.predicting import batch_size
 from swing import RADIUS, DiscSystem, Still, Swing
 
@@ -100,6 +101,16 @@ def test_weaker_gravity_scores_less(data, shared):
     wrong = evaluate(Swing.right(gravity=2.0), data, PROTOCOL, shared=shared).scores
     assert wrong["vpt"]["1"]["mean"] < 0.8 * right["vpt"]["1"]["mean"]
     assert wrong["vpt"]["0.25"]["mean"] <= wrong["vpt"]["1"]["mean"]
+
+
+def test_a_split_without_states_has_no_probe(data, shared, known):
+    class Bare(DataSet):
+        def split(self, name, **choice):
+            found = super().split(name, **choice)
+            return dataclasses.replace(found, state=None) if name == "validation" else found
+
+    assert probed_system(data, shared, "test") is not None
+    assert probed_system(Bare(data.folder, data.folder / "constraints.toml"), shared, "test") is None
 
 
 def test_only_the_given_frames_and_inputs_reach_the_model(data, shared):

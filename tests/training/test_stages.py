@@ -248,12 +248,13 @@ def test_schedule_rises_then_falls():
     assert rates[3] == pytest.approx(0.02)
 
 
-def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed(data):
+def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed(data, capsys):
     seeing = SimpleNamespace(standardise=SimpleNamespace(deviation=np.float32(0.1)))
     model = SimpleNamespace(estimator=seeing, renderer=SimpleNamespace(background=np.zeros((8, 8, 3))))
     whole = 0.01 * 8 * 8 * 3
     judged = [judge_vision(model, data, {"reconstruction": share * whole}, worst=0.2) for share in (0.1, 0.27)]
     assert judged[0] is None and "0.27 of the mean picture's error" in str(judged[1])
+    assert "is 0.10 of the mean picture's error" in capsys.readouterr().out
 
 
 class Grey(eqx.Module):

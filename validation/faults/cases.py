@@ -24,6 +24,7 @@ _REPORT = ("report", "{work}/run")
 _PREDICT = ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/out.h5")
 _RENDER = ("predict", "{work}/run", "--data", "{work}/states/test.h5", "--out", "{work}/out.h5")
 _CONTROL = ("control", "{work}/run", "--goal", "{work}/goal.png", "--seconds", "0.1")
+_IDENTIFY = ("identify", "{work}/log.csv", "--mechanism", "pendulum", "--out", "{work}/identified")
 _CHECK = ("data", "check", "{work}/data")
 _SHOW = ("data", "show", "{work}/data", "--out", "{work}/out.gif", "--scale", "1")
 _STATES = (("data", "check", "{work}/states"), ("data", "show", "{work}/states", "--out", "{work}/out.gif"))
@@ -87,6 +88,8 @@ TARGETS = (
     Target("results/keycld/fast/pendulum-keycld-0.json", 12, (_STATUS, _TABLE, _FIGURES, _PAGE)),
     Target("results/keycld/fast/pendulum-keycld-1.failed.json", 6, (_STATUS, _TABLE)),
     Target("goal.png", 5, (_CONTROL,)),
+    Target("log.csv", 4, (_IDENTIFY,)),
+    Target("run/evaluation/physics.json", 4, (_REPORT,), (_METRICS, *_RESULTS)),
 )  # fmt: skip
 ROUND = [(target, turn) for target in TARGETS for turn in range(target.share)]
 

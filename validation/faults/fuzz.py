@@ -9,6 +9,7 @@ compiled programs are warm; it is replaced when it hangs, dies or grows.
 
 import argparse
 import contextlib
+import io
 import json
 import os
 import resource
@@ -20,7 +21,6 @@ import sys
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -54,10 +54,17 @@ class Worker:
             os.close(handle)
         os.set_blocking(self._said, False)
 
-    def run(self, words: list[str], outer: Path, limit: float) -> dict[str, Any]:
-        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on."""
+    def run(self, words: list[str], outer: Path, limit: float, largest: int = -1) -> dict[str, Any]:
+        """Run one verb in the folder `outer`, and judge how it ends; afterwards `alive` says whether it goes on.
+
+        Args:
+            words: of the command.
+            outer: the working directory.
+            limit: seconds of the processor.
+            largest: bytes that a file may have; -1: any.
+        """
         since, before = time.monotonic(), _processor_seconds(self._pid)
-        os.write(self._ask, json.dumps([words, str(outer)]).encode() + b"\n")
+        os.write(self._ask, json.dumps([words, str(outer), largest]).encode() + b"\n")
         said, answer, hung = bytearray(), b"", False
         while not answer.endswith(b"\n"):
             ready = select.select([self._answers, self._said], [], [], 0.2)[0]
@@ -118,11 +125,13 @@ def _serve(base: Path, asked: int, answer: int, speaking: int) -> None:
     sys.addaudithook(watch)
     with os.fdopen(asked) as orders:
         for line in orders:
-            words, outer = json.loads(line)
+            words, outer, largest = json.loads(line)
             outside.clear()
             os.chdir(outer)
             Path("/proc/self/clear_refs").write_text("5")  # the peak begins anew
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, resource.RLIM_INFINITY))
             code = exit_code(words)
+            resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
             status = Path("/proc/self/status").read_text()
             peak = int(status.partition("VmHWM:")[2].split()[0]) * 1024
             os.write(answer, json.dumps([code, peak, outside[:5]]).encode() + b"\n")
@@ -153,8 +162,8 @@ def run_case(worker: Worker, number: int, seed: int, base: Path, usual: dict[str
             **found}  # fmt: skip
 
 
-def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], object] = lambda: None) -> dict[str, Any]:
-    """Run one verb in a forked process of its own, which calls `first` before, and judge how it ends."""
+def run_verb(words: list[str], outer: Path, limit: float) -> dict[str, Any]:
+    """Run one verb in a forked process of its own, and judge how it ends."""
     since = time.monotonic()
     listening, speaking = os.pipe()
     child = os.fork()
@@ -162,7 +171,6 @@ def run_verb(words: list[str], outer: Path, limit: float, first: Callable[[], ob
         os.close(listening)
         _detach(speaking)
         os.chdir(outer)
-        first()
         os._exit(exit_code(words))
     os.close(speaking)
     os.set_blocking(listening, False)
@@ -203,17 +211,13 @@ def _detach(speaking: int) -> None:
 def exit_code(words: list[str]) -> int:
     """Run a verb in this process and return the code with which it would end.
 
-    `child ROOT RESULTS` is what `bench run` starts for a small experiment.
+    `child ROOT RESULTS` is what `bench run` starts for a small experiment; it says what it records for `bench run`.
     """
     from keycld.cli.main import main
 
     try:
         if words[0] == "child":
-            from validation.faults.originals import small_experiment
-
-            from keycld.benchmarks.child import main as child
-
-            return child([str(os.getppid()), small_experiment().to_json(), *words[1:]])
+            return _child(*words[1:])
         return main(words)
     except SystemExit as error:
         return int(error.code or 0)
@@ -222,6 +226,26 @@ def exit_code(words: list[str]) -> int:
         return 70
     finally:
         sys.stderr.flush()
+
+
+def _child(root: str, results: str) -> int:
+    from validation.faults.originals import small_experiment
+
+    from keycld import KeycldError
+    from keycld.benchmarks import Place
+    from keycld.benchmarks.child import main as child
+
+    experiment = small_experiment()
+    try:
+        with contextlib.redirect_stderr(io.StringIO()):
+            code = child([str(os.getppid()), experiment.to_json(), root, results])
+        failure = Place(Path(root), Path(results)).failure(experiment)
+        said = json.loads(failure.read_text())["sentence"] if code else ""
+    except KeycldError as error:
+        code, said = 2, str(error)
+    if code:
+        print(f"keycld: {said}", file=sys.stderr)
+    return 2 if code else 0
 
 
 def _processor_seconds(pid: int) -> float:
@@ -294,7 +318,7 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=10_000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", nargs="*", help="first words of the verbs to run; by default all")
+    parser.add_argument("--only", nargs="*", help="first words of verbs, or files; by default all")
     parser.add_argument("--work", type=Path, required=True)
     options = parser.parse_args()
     base = options.work.resolve()
@@ -309,8 +333,8 @@ def main() -> None:
     worker = Worker(base)
     with path.open("a") as file:
         for number in range(options.first, options.first + options.cases):
-            _, words = chosen(number, options.seed)
-            if number in known or (options.only and words[0] not in options.only):
+            target, words = chosen(number, options.seed)
+            if number in known or (options.only and not {words[0], target.file} & set(options.only)):
                 continue
             if " ".join(words) not in usual:
                 usual[" ".join(words)] = usual_seconds(words, base)

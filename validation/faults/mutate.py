@@ -20,12 +20,12 @@ def damage(path: Path, seed: int) -> str:
     """Damage a file in place, by its structure or by its bytes, and return what was done."""
     random = Random(f"{path.name} {seed}")
     kind = path.suffix
-    if random.random() < 0.35 or kind not in (".json", ".jsonl", ".toml", ".npz", ".h5"):
+    if random.random() < 0.35 or kind not in (".json", ".jsonl", ".toml", ".csv", ".npz", ".h5"):
         return damage_bytes(path, random)
     if kind in (".json", ".jsonl"):
         return damage_json(path, random)
-    if kind == ".toml":
-        return damage_text(path, random)
+    if kind in (".toml", ".csv"):
+        return damage_text(path, random, "," if kind == ".csv" else " ")
     return damage_npz(path, random) if kind == ".npz" else damage_hdf5(path, random)
 
 
@@ -89,12 +89,12 @@ def _places(value: Any):
         yield from _places(inner)
 
 
-def damage_text(path: Path, random: Random) -> str:
+def damage_text(path: Path, random: Random, between: str) -> str:
     """Replace a word of a text."""
-    words = path.read_text().split(" ")
+    words = path.read_text().split(between)
     at = random.randrange(len(words))
     words[at] = json.dumps(random.choice(OTHERS), default=str)
-    path.write_text(" ".join(words))
+    path.write_text(between.join(words))
     return f"word {at}"
 
 

@@ -36,6 +36,7 @@ def make_originals(folder: Path, repository: Path) -> None:
     controlled(folder)
     states(folder)
     pictures(folder)
+    rig(folder)
     shutil.copytree(repository / "tests/data/golden/tfrecord/matching_pennies", folder / "matching_pennies")
     bench(folder, repository)
 
@@ -160,6 +161,25 @@ def pictures(folder: Path) -> None:
     movie = np.random.default_rng(0).integers(0, 255, (30, 16, 24, 3), np.uint8)
     for name in ("swing.mp4", "swing.gif"):
         save_movie(folder / name, movie, fps=25, scale=1)
+
+
+def rig(folder: Path) -> None:
+    """Make the log of a pendulum with a motor, and physical constants of the run as `identify` stores them."""
+    from keycld.evaluation import save_physics
+
+    dt, angle, rate, lines = 0.02, 0.5, 0.0, ["time,position,torque"]
+    for k in range(200):
+        torque = 0.3 * np.sin(0.05 * k) + 0.2 * np.sin(0.17 * k)
+        lines.append(f"{k * dt:.3f},{angle:.6f},{torque:.6f}")
+        rate += dt * (-9.0 * np.sin(angle) - 0.1 * rate + 4.0 * torque)
+        angle += dt * rate
+    (folder / "log.csv").write_text("\n".join(lines) + "\n")
+    constant = {"value": 1.5, "sigma": 0.1, "unit": "1/s", "identifiable": True, "note": "as the test says"}
+    unknown = {"value": None, "sigma": None, "unit": "s", "identifiable": False}
+    save_physics(folder / "run", {
+        "mechanism": "pendulum", "fps": 50.0, "constants": {"friction of tip": constant, "period": unknown},
+        "rejected": {"springs": {"worth": 0.01, "needed": 0.05}}, "prediction": {},
+    })  # fmt: skip
 
 
 def bench(folder: Path, repository: Path) -> None:

@@ -24,6 +24,7 @@ from keycld.evaluation.named_protocols import protocol_named as protocol_named
 from keycld.evaluation.named_protocols import protocols_for as protocols_for
 from keycld.evaluation.named_protocols import with_given as with_given
 from keycld.evaluation.observing import observed_states as observed_states
+from keycld.evaluation.observing import observed_tracks as observed_tracks
 from keycld.evaluation.physics import Measured as Measured
 from keycld.evaluation.physics import constants_of as constants_of
 from keycld.evaluation.physics import measure_physics as measure_physics
@@ -65,9 +66,6 @@ __all__ = [
     "Evaluation",
     "IdentifiedLog",
     "METRICS",
-    "SyMetric",
-    "score_symetric",
-    "symetric",
     "Measured",
     "PAPER_VPT",
     "PHYSICS",
@@ -79,6 +77,7 @@ __all__ = [
     "Protocol",
     "References",
     "Rejected",
+    "SyMetric",
     "TABLE_UNITS",
     "as_json",
     "baseline_predictions",
@@ -100,6 +99,7 @@ __all__ = [
     "mean_image",
     "measure_physics",
     "observed_states",
+    "observed_tracks",
     "physics_table",
     "predict",
     "predict_batch",
@@ -111,9 +111,11 @@ __all__ = [
     "relative_errors",
     "save_evaluation",
     "save_physics",
+    "score_symetric",
     "setting_text",
     "statistics",
     "summary",
+    "symetric",
     "threshold_text",
     "valid_prediction_time",
     "validation_epsilon",

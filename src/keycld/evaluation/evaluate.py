@@ -97,7 +97,7 @@ def evaluate(
     if protocol.backward and not isinstance(model, Reversible):
         raise KeycldError(f"protocol '{protocol.name}' predicts the past, but this model cannot run backward.")
     shared = shared or references(data)
-    system = probed_system(data, shared) if isinstance(model, HasKeypoints) else None
+    system = probed_system(data, shared, protocol.split) if isinstance(model, HasKeypoints) else None
     done = _pass(model, data, protocol, shared, progress, with_states=system is not None)
     count = len(done.errors["mse"])
     few = slice(0, min(protocol.shown, count))

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from jaxtyping import Float
 
+from keycld.data.export.tracks import KeypointTracks
 from keycld.evaluation.acceleration import acceleration_error
 from keycld.evaluation.friction import friction_rates
 from keycld.evaluation.predicting import observe
@@ -46,9 +47,36 @@ def observed_states(
     return observe(model, np.concatenate(images))[0], np.concatenate(states)
 
 
-def probed_system(data: "DataSet", shared: References) -> AbstractSystem | None:
-    """Return the system whose landmarks a probe is fitted to; None where it is unknown or the data have no states."""
+def observed_tracks(model: HasKeypoints, data: "DataSet", split: str) -> KeypointTracks:
+    """Return the keypoints that a model observes in every frame of a file, with the inputs.
+
+    Args:
+        model: whose keypoints.
+        data: the data set.
+        split: which file.
+    """
+    found, inputs = [], []
+    for _, recordings in blocks(data, split):
+        image, u = recordings.image, recordings.input
+        assert image is not None
+        keypoints = observe(model, image.reshape(-1, *image.shape[2:]))[0]
+        found.append(keypoints.reshape(*image.shape[:2], -1, 2))
+        inputs.append(u if u.ndim == 3 else np.repeat(u[:, None], image.shape[1], axis=1))
+    x = np.concatenate(found)
+    names = tuple(f"keypoint_{k + 1}" for k in range(x.shape[2]))
+    if len(data.keypoints) == len(names):
+        names = data.keypoints
+    return KeypointTracks(names, x, np.concatenate(inputs), float(data.dt))
+
+
+def probed_system(data: "DataSet", shared: References, split: str) -> AbstractSystem | None:
+    """Return the system whose landmarks a probe is fitted to.
+
+    None where it is unknown, or where `split` or the files that the probe needs have no states.
+    """
     if shared.states is None or data.system not in names():
+        return None
+    if any(data.split(name, images=False, rows=slice(0, 1)).state is None for name in ("validation", split)):
         return None
     system = get(data.system)
     return system if system.keypoints else None

@@ -78,6 +78,4 @@ def load_physics(folder: str | Path) -> Physics:
     try:
         return read_json(path, Physics, "measure the physics again")
     except FileNotFoundError as error:
-        raise KeycldError(
-            f"no physical constants in '{folder}': run `keycld watch` or `keycld identify` first."
-        ) from error
+        raise KeycldError(f"no physical constants in '{folder}': measure them first (docs/physics.md).") from error

@@ -10,6 +10,8 @@ from keycld._records import Name, NumberText, Unexpected, checked
 from keycld.evaluation.image_scores import ERROR_ARRAYS
 
 Number = float | None
+# Of what lies along an axis of a figure.
+_LARGEST = 1e9
 
 
 class _Protocol(TypedDict):
@@ -199,11 +201,13 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
     Raises:
         Unexpected: says which.
     """
+    for name in layout(scores).keys() & arrays.keys():
+        _expect(len(arrays[name]) > 0, name)
     if "protocol" in scores:
         index, horizon = arrays["shown_index"], scores["protocol"]["horizon"]
         whole = len(index) > 1 and index.min() >= 0 and index.max() < horizon and np.all(np.diff(index) > 0)
         _expect(bool(whole) and len(arrays["truth"]) > 0, "shown_index")
-        _expect(np.all(np.isfinite(arrays["time"])), "time")
+        _expect(np.all(np.abs(arrays["time"]) < _LARGEST), "time")
     elif "law" in scores:
         _expect(len(arrays["frames"]) == arrays["input"].shape[1] + 1 > 1 and arrays["x"].shape[2] % 2 == 0, "frames")
     elif arrays:
@@ -225,5 +229,5 @@ def _check_sweeps(arrays: Mapping[str, np.ndarray]) -> None:
         _expect(parts["shape"].shape == (count,) and parts["shape"].dtype.kind in "iu", name)
         _expect(int(np.prod(parts["shape"], dtype=float)) == n and min(parts["shape"]) > 0, name)
         _expect(all(parts[each].dtype.kind == "f" for each in ("values", "potential", "keypoints")), name)
-        _expect(np.all(np.isfinite(parts["values"])), name)
+        _expect(np.all(np.abs(parts["values"]) < _LARGEST), name)
         _expect(parts["keypoints"].ndim == 3 and parts["image"].shape[-1] == 3, name)

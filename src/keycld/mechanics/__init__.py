@@ -71,6 +71,7 @@ from keycld.mechanics.linear import solve_positive as solve_positive
 from keycld.mechanics.masses import AbstractMassMatrix as AbstractMassMatrix
 from keycld.mechanics.masses import CoupledMasses as CoupledMasses
 from keycld.mechanics.masses import PointMasses as PointMasses
+from keycld.mechanics.mjcf import to_mjcf as to_mjcf
 from keycld.mechanics.named import integrator_named as integrator_named
 from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatrix
 from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
@@ -202,6 +203,7 @@ __all__ = [
     "term_kinds",
     "terms_of",
     "to_hamiltonian",
+    "to_mjcf",
     "truncated_normal",
     "two_point_masses",
     "with_kinds",

@@ -50,8 +50,8 @@ class JointLaw(eqx.Module):
         d = len(joints)
         rows, columns = np.tril_indices(d)
         mass = jnp.zeros((d, d), theta.dtype).at[rows, columns].set(theta[: rows.size])
-        parts = theta[rows.size :].reshape(4, d)
-        return cls(mass, *parts, joints, lengths)
+        weight, viscous, dry, offset = theta[rows.size :].reshape(4, d)
+        return cls(mass, weight, viscous, dry, offset, joints, lengths)
 
     def momentum(self, q: Float[Array, "d"], rate: Float[Array, "d"]) -> Float[Array, "d"]:
         """Return ∂L/∂q̇."""
@@ -143,7 +143,9 @@ def fit_joint_law(
     if len(begins) * d < 2 * size:
         raise KeycldError(f"{len(place)} samples are too few to find {size} numbers: use a longer log.")
     with jax.enable_x64(True):
-        change, resist = (np.asarray(part) for part in _columns(joints, lengths, size, place, rate))
+        change, resist = (
+            np.asarray(part) for part in _columns(joints, lengths, size, jnp.asarray(place), jnp.asarray(rate))
+        )
     rows = np.stack(
         [
             np.einsum("t,tdp->dp", bump, resist[b : b + 2 * half + 1])

@@ -31,8 +31,6 @@ class Joint(eqx.Module):
 def joints_of(constraint: AbstractConstraint) -> tuple[Joint, ...]:
     """Return the joints of a chain, one a keypoint, from the ground outward.
 
-    An unknown pivot is taken to be at the origin, an unknown direction to be horizontal: coordinates do not show them.
-
     Raises:
         KeycldError: the mechanism is no open chain of links and slides.
     """
@@ -41,12 +39,11 @@ def joints_of(constraint: AbstractConstraint) -> tuple[Joint, ...]:
     found: list[Joint] = []
     for item in constraint.items:
         if isinstance(item, DistanceToPoint):
-            place = item.point if isinstance(item.point, tuple) else (0.0, 0.0)
-            found.append(Joint(constraint.keypoints.index(item.keypoint), None, False, place))
+            x, y = (float(number) for number in np.asarray(item.origin({})))
+            found.append(Joint(constraint.keypoints.index(item.keypoint), None, False, (x, y)))
         elif isinstance(item, OnLine):
-            direction = item.direction if isinstance(item.direction, tuple) else (1.0, 0.0)
-            unit = np.array(direction) / np.hypot(*direction)
-            found.append(Joint(constraint.keypoints.index(item.keypoint), None, True, (unit[0].item(), unit[1].item())))
+            x, y = (float(number) for number in np.asarray(item.normal))
+            found.append(Joint(constraint.keypoints.index(item.keypoint), None, True, (y, -x)))
         elif isinstance(item, FixedDistance):
             ends = [constraint.keypoints.index(name) for name in (item.first, item.second)]
             held = {joint.keypoint for joint in found}

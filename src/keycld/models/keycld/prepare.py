@@ -77,6 +77,8 @@ def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
 def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
     """Return what has failed in the vision stage, or None: moving parts may be missing from the rendered frames.
 
+    It prints the criterion.
+
     The criterion is the reconstruction error as a share of the error of the mean frame. Measured: 0.01 to 0.08 after
     successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
 
@@ -88,6 +90,8 @@ def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, wors
     """
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
     share = terms["reconstruction"] / whole
+    # Pictures with many moving pixels have large errors, so the number in the log says little by itself.
+    print(f"pictures     the reconstruction error is {share:.2f} of the mean picture's error", flush=True)
     if share < worst:
         return None
     return (

@@ -1,0 +1,1 @@
+"""Keypoint tracks in the formats of other programs."""

@@ -1,0 +1,288 @@
+"""An identified chain as a MuJoCo model."""
+
+import dataclasses
+from xml.etree import ElementTree
+
+import numpy as np
+from jaxtyping import Float
+
+from keycld._errors import KeycldError
+from keycld.mechanics.constraints import Constraints
+from keycld.mechanics.force import SumPotential, terms_of
+from keycld.mechanics.forces.coulomb import CoulombFriction
+from keycld.mechanics.forces.joints import JointFriction
+from keycld.mechanics.forces.springs import Springs
+from keycld.mechanics.forces.viscous import ViscousFriction
+from keycld.mechanics.joint_coordinates import Joint, joints_of
+from keycld.mechanics.lagrangian import ConstrainedLagrangian
+
+# A link's mass above the least one that its inertia allows, as a share of what is free: rigid bodies have some inertia.
+_SPARE = 0.02
+# Distance of the anchors of dampers that resist a keypoint in all directions, in lengths of the mechanism.
+_FAR = 1e4
+_GIVES = "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
+_RIGID = "the masses are not those of rigid bodies: measure them on more recordings."
+
+
+@dataclasses.dataclass
+class _Part:
+    """A rigid body: its mass, centre along the link and inertia about it; its joint."""
+
+    name: str
+    joint: Joint
+    length: float
+    mass: float
+    centre: float
+    inertia: float
+    damping: float = 0.0
+    loss: float = 0.0
+    stiffness: float = 0.0
+    rest: float = 0.0
+
+
+def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, metres: float = 1.0) -> str:
+    """Return the MJCF text of a MuJoCo model that moves like a law: an open chain of links and slides.
+
+    x of the image plane is MuJoCo's x, y is its z; joints have the coordinates of `joints_of`. Masses are relative: the
+    whole has mass 1, because M, V and R are known up to one factor. A mass matrix of keypoints leaves part of the shape
+    of the bodies open; one of those that move alike is written. Each keypoint is a site, with a sensor of its position.
+    Inputs are left out: what they do is not a property of the mechanism.
+
+    Args:
+        law: M, V, R and constraints.
+        constants: values of Φ.
+        metres: of one image-plane unit.
+
+    Raises:
+        KeycldError: the mechanism is no open chain, or a force has no counterpart in MuJoCo.
+    """
+    constraint = law.constraint_function
+    joints = joints_of(constraint)
+    assert isinstance(constraint, Constraints)
+    values = np.asarray(constants, float)
+    lengths = [0.0 if j.slide else metres * float(np.sqrt(c)) for j, c in zip(joints, values, strict=True)]
+    matrix = np.asarray(law.mass.matrix, float)
+    weights = _weights(law)
+    unit = matrix.sum()
+    parts, gravity = _bodies(constraint.keypoints, joints, lengths, matrix / unit, weights / unit * metres)
+    root = ElementTree.Element("mujoco", model="keycld")
+    # Along a line gravity only shifts where a spring rests; `_springs` puts it there.
+    direction = _direction(weights) * (0.0 if "springs" in terms_of(law) else gravity)
+    # Frequencies of a mechanism that falls in g over its length; the step is a small part of that time.
+    reach = max([length for length in lengths if length] or [metres])
+    step = min(0.002, 0.005 / np.sqrt(max(gravity, 1e-6) / reach))
+    ElementTree.SubElement(
+        root, "option", integrator="RK4", timestep=_text(step), gravity=_text(direction[0], 0.0, direction[1])
+    )
+    world = ElementTree.SubElement(root, "worldbody")
+    tendons, sensors = ElementTree.Element("tendon"), ElementTree.Element("sensor")
+    _springs(law, parts, unit, metres)
+    _friction(law, parts, joints, unit, (world, tendons))
+    bodies: dict[int, ElementTree.Element] = {}
+    for k, (part, joint) in enumerate(zip(parts, joints, strict=True)):
+        parent = world if joint.parent is None else bodies[joint.parent]
+        near = next((p for p in parts if p.joint.keypoint == joint.parent), None)
+        if joint.slide:
+            place = metres * values[k] * np.array([-joint.place[1], joint.place[0]])
+        elif near is None:
+            place = metres * np.array(joint.place)
+        else:
+            place = np.array([0.0, -near.length])
+        bodies[joint.keypoint] = _body(parent, part, place)
+        ElementTree.SubElement(sensors, "framepos", name=part.name, objtype="site", objname=part.name)
+    root.extend([each for each in (tendons, sensors) if len(each)])
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
+
+
+def _weights(law: ConstrainedLagrangian) -> Float[np.ndarray, "K 2"]:
+    known = {"springs", "viscous", "joints", "coulomb"}
+    if odd := terms_of(law).keys() - known:
+        raise KeycldError(f"the force '{min(odd)}' has no counterpart in MuJoCo: only {', '.join(sorted(known))} have.")
+    if not isinstance(law.potential, SumPotential):
+        raise KeycldError("only a potential energy of named forces can be exported: train with the preset fast.")
+    return np.asarray(law.potential.weight, float).reshape(-1, 2)
+
+
+def _direction(weights: np.ndarray) -> np.ndarray:
+    """Return the direction of gravity, straight down without any."""
+    total = -weights.sum(axis=0)
+    size = np.linalg.norm(total)
+    return total / size if size > 1e-9 else np.array([0.0, -1.0])
+
+
+def _bodies(
+    names: tuple[str, ...], joints: tuple[Joint, ...], lengths: list[float], matrix: np.ndarray, weights: np.ndarray
+) -> tuple[list[_Part], float]:
+    """Return rigid bodies with this mass matrix and these weights, and the strength of gravity.
+
+    A link with mass μ, first moment h l and inertia m l² about its near end adds μ − 2h + m, h − m and m to the mass
+    matrix, and g (μ − h), g h to the weights of its ends. From the tip inward, each link takes m from the diagonal
+    and h − m from beside it; what is left at its near end belongs to the links before.
+    """
+    matrix = matrix.copy()
+    pulls = -(weights @ _direction(weights))
+    last = joints[-1]
+    own = matrix[last.keypoint, last.keypoint]
+    beside = matrix[last.keypoint, last.parent] if last.parent is not None else 0.0
+    # A single part is taken as a point mass: one motion does not show more.
+    gravity = float(abs(pulls[last.keypoint]) / (own + beside))
+    parts = []
+    for joint, length in reversed(list(zip(joints, lengths, strict=True))):
+        k, p = joint.keypoint, joint.parent
+        own = matrix[k, k]
+        if not own > 0:
+            raise KeycldError(_RIGID)
+        if joint.slide:
+            parts.append(_Part(names[k], joint, length, own, 0.0, own * 1e-6))
+            continue
+        if p is None:
+            moment = abs(pulls[k]) / gravity if gravity > 1e-9 else 0.0
+            mass = (1 + _SPARE) * moment**2 / own if moment > 0 else own
+        else:
+            moment = own + matrix[k, p]
+            least = moment**2 / own
+            spare = matrix[p, p] + 2 * moment - own - least
+            if spare <= 0:
+                raise KeycldError(_RIGID)
+            mass = least + _SPARE * spare
+            matrix[p, p] -= mass - 2 * moment + own
+            pulls[p] -= np.sign(pulls[k]) * gravity * (mass - moment)
+        centre = length * moment / mass
+        parts.append(_Part(names[k], joint, length, mass, centre, own * length**2 - mass * centre**2))
+    return parts[::-1], gravity
+
+
+def _springs(law: ConstrainedLagrangian, parts: list[_Part], unit: float, metres: float) -> None:
+    """Put the stiffness of springs on slides."""
+    term = terms_of(law).get("springs")
+    if not isinstance(term, Springs):
+        return
+    if len(parts) > 1 or not parts[0].joint.slide:
+        raise KeycldError("springs can be exported for a single part on a line only.")
+    part = parts[0]
+    stiffness = float(np.asarray(term.stiffness)[0, 0])
+    along = float(_weights(law)[0] @ np.array(part.joint.place))
+    part.stiffness, part.rest = stiffness / unit, -metres * along / stiffness
+
+
+def _friction(
+    law: ConstrainedLagrangian,
+    parts: list[_Part],
+    joints: tuple[Joint, ...],
+    unit: float,
+    elements: tuple[ElementTree.Element, ElementTree.Element],
+) -> None:
+    """Put friction on joints, and on tendons where it acts on absolute motion."""
+    terms = terms_of(law)
+    chains = [_chain(joints, k) for k in range(len(joints))]
+    viscous = terms.get("viscous")
+    if isinstance(viscous, ViscousFriction):
+        matrix = np.asarray(viscous.coefficients, float)
+        matrix = (np.tril(matrix) + np.tril(matrix, -1).T) / unit
+        for k, joint in enumerate(joints):
+            if joint.parent is not None:
+                between = -matrix[joint.keypoint, joint.parent]
+                _turning(parts, elements[1], chains[k], between * parts[k].length ** 2)
+            alone = float(matrix[joint.keypoint].sum())
+            if joint.slide:
+                parts[k].damping += alone
+            elif joint.parent is None:
+                parts[k].damping += alone * parts[k].length ** 2
+            elif abs(alone) > 1e-9:
+                _resisted(parts[k], elements, alone)
+    hinges = terms.get("joints")
+    if isinstance(hinges, JointFriction):
+        links = [k for k, joint in enumerate(joints) if not joint.slide]
+        for strength, row in zip(np.asarray(hinges.strength, float) / unit, hinges.hinges, strict=True):
+            combined = np.zeros(len(joints))
+            for k, share in zip(links, row, strict=True):
+                combined[chains[k]] += share
+            _turning(parts, elements[1], combined, strength)
+    dry = terms.get("coulomb")
+    if isinstance(dry, CoulombFriction):
+        if len(parts) > 1:
+            raise KeycldError("dry friction can be exported for a single part only.")
+        parts[0].loss = float(np.asarray(dry.strength)[0]) / unit * (parts[0].length or 1.0)
+    if any(part.damping < 0 or part.loss < 0 for part in parts):
+        raise KeycldError(
+            "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
+        )
+
+
+def _chain(joints: tuple[Joint, ...], k: int) -> list[int]:
+    """Return the hinges whose angles add up to the direction of link k."""
+    found, at = [], joints[k]
+    while not at.slide:
+        found.append(joints.index(at))
+        if at.parent is None:
+            break
+        at = next(joint for joint in joints if joint.keypoint == at.parent)
+    return found[::-1]
+
+
+def _turning(parts: list[_Part], tendons: ElementTree.Element, chain: list[int] | np.ndarray, damping: float) -> None:
+    """Add friction of a sum of joint rates: of one joint on it, of several on a tendon."""
+    shares = np.zeros(len(parts))
+    if isinstance(chain, list):
+        shares[chain] = 1.0
+    else:
+        shares = chain
+    acting = np.flatnonzero(np.abs(shares) > 1e-9)
+    if len(acting) == 0 or abs(damping) < 1e-12:
+        return
+    if len(acting) == 1:
+        parts[acting[0]].damping += damping * shares[acting[0]] ** 2
+        return
+    if damping < 0:
+        raise KeycldError(
+            "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
+        )
+    tendon = ElementTree.SubElement(tendons, "fixed", damping=_text(damping))
+    for k in acting:
+        ElementTree.SubElement(tendon, "joint", joint=parts[k].name, coef=_text(shares[k]))
+
+
+def _resisted(part: _Part, elements: tuple[ElementTree.Element, ElementTree.Element], damping: float) -> None:
+    """Add dampers from a keypoint to points far away, to the right and above: friction in any direction."""
+    if damping < 0:
+        raise KeycldError(
+            "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
+        )
+    world, tendons = elements
+    for name, place in (("right", (1.0, 0.0)), ("above", (0.0, 1.0))):
+        site = f"{part.name}_{name}"
+        far = _FAR * part.length
+        ElementTree.SubElement(world, "site", name=site, pos=_text(far * place[0], 0.0, far * place[1]))
+        tendon = ElementTree.SubElement(tendons, "spatial", damping=_text(damping))
+        ElementTree.SubElement(tendon, "site", site=site)
+        ElementTree.SubElement(tendon, "site", site=part.name)
+
+
+def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> ElementTree.Element:
+    body = ElementTree.SubElement(parent, "body", name=part.name, pos=_text(place[0], 0.0, place[1]))
+    kind = {"type": "slide", "axis": _text(part.joint.place[0], 0.0, part.joint.place[1])}
+    if not part.joint.slide:
+        kind = {"type": "hinge", "axis": "0 -1 0"}
+    forces = {"damping": part.damping, "frictionloss": part.loss, "stiffness": part.stiffness, "springref": part.rest}
+    acting = {name: _text(value) for name, value in forces.items() if value}
+    ElementTree.SubElement(body, "joint", {"name": part.name} | kind | acting)
+    inertia = max(part.inertia, 1e-9 * part.mass)
+    ElementTree.SubElement(
+        body,
+        "inertial",
+        pos=_text(0.0, 0.0, -part.centre),
+        mass=_text(part.mass),
+        diaginertia=_text(inertia, inertia, inertia),
+    )
+    tip = _text(0.0, 0.0, -part.length)
+    ElementTree.SubElement(body, "site", name=part.name, pos=tip)
+    look = {"type": "sphere", "size": "0.05", "contype": "0", "conaffinity": "0", "mass": "0"}
+    if part.length:
+        look |= {"type": "capsule", "fromto": f"0 0 0 {tip}", "size": _text(0.02 * part.length)}
+    ElementTree.SubElement(body, "geom", look)
+    return body
+
+
+def _text(*numbers: float) -> str:
+    return " ".join(f"{float(number):.10g}" for number in numbers)

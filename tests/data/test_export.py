@@ -1,0 +1,59 @@
+"""Keypoint tracks as other programs read them."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from keycld.data.export.lerobot import write_lerobot
+from keycld.data.export.tracks import KeypointTracks, write_csv, write_time_series
+
+
+@pytest.fixture
+def tracks():
+    rng = np.random.default_rng(0)
+    return KeypointTracks(("elbow", "tip"), rng.uniform(-1, 1, (3, 20, 2, 2)), rng.uniform(-1, 1, (3, 20, 1)), 1 / 30)
+
+
+def test_csv_has_a_row_a_frame_and_a_column_a_coordinate(tracks, tmp_path):
+    write_csv(tmp_path / "tracks.csv", tracks)
+    rows = list(csv.DictReader((tmp_path / "tracks.csv").read_text().splitlines()))
+    assert len(rows) == 60 and list(rows[0])[:4] == ["recording", "time", "elbow_x", "elbow_y"]
+    last = rows[-1]
+    assert float(last["tip_y"]) == pytest.approx(tracks.x[2, 19, 1, 1])
+    assert float(last["time"]) == pytest.approx(19 / 30)
+    assert float(last["input_1"]) == pytest.approx(tracks.u[2, 19, 0])
+
+
+def test_time_series_are_the_sensors_of_the_exported_model(tracks, tmp_path):
+    """The layout that mujoco.sysid stores: times, data, and a mapping from names to columns."""
+    paths = write_time_series(tmp_path, tracks, metres=0.5)
+    assert [path.name for path in paths] == ["recording_000.npz", "recording_001.npz", "recording_002.npz"]
+    with np.load(paths[1], allow_pickle=False) as stored:
+        kind, columns = json.loads(str(stored["signal_mapping"]))["tip"]
+        assert kind == 0
+        np.testing.assert_allclose(stored["data"][:, columns][:, [0, 2]], 0.5 * tracks.x[1, :, 1])
+        np.testing.assert_allclose(stored["times"], tracks.time)
+
+
+def test_mujoco_sysid_reads_the_time_series(tracks, tmp_path):
+    sysid = pytest.importorskip("mujoco.sysid")
+    if not hasattr(sysid, "TimeSeries"):
+        pytest.skip("mujoco was installed without its extra sysid")
+    path = write_time_series(tmp_path, tracks)[0]
+    series = sysid.TimeSeries.load_from_disk(path)
+    assert series.signal_mapping["tip"][0] is sysid.SignalType.MjSensor
+
+
+def test_a_lerobot_data_set(tracks, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    write_lerobot(tmp_path, tracks, "a double pendulum swings")
+    info = json.loads((tmp_path / "meta" / "info.json").read_text())
+    assert info["codebase_version"] == "v3.0" and info["fps"] == 30 and info["total_frames"] == 60
+    table = parquet.read_table(tmp_path / info["data_path"].format(chunk_index=0, file_index=0)).to_pydict()
+    assert table.keys() == info["features"].keys()
+    assert table["episode_index"][20] == 1 and table["frame_index"][20] == 0
+    np.testing.assert_allclose(table["observation.state"][20], tracks.x[1, 0].reshape(-1), rtol=1e-6)
+    episodes = parquet.read_table(tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pydict()
+    assert episodes["dataset_to_index"] == [20, 40, 60] and episodes["tasks"][0] == ["a double pendulum swings"]

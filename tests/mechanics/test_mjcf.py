@@ -1,0 +1,105 @@
+"""An identified chain moves in MuJoCo as it does here."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mechanics_examples import on_circle
+
+from keycld._errors import KeycldError
+from keycld.mechanics import (
+    RK4,
+    ConstrainedLagrangian,
+    Constraints,
+    CoupledMasses,
+    DistanceToPoint,
+    FixedDistance,
+    MechanicalDynamics,
+    Motion,
+    OnLine,
+    Springs,
+    State,
+    SumDissipation,
+    SumPotential,
+    ViscousFriction,
+    to_mjcf,
+    with_kinds,
+)
+
+mujoco = pytest.importorskip("mujoco")
+DT, FRAMES = 1 / 50, 150
+
+
+def law(matrix, items, names, weight, *, springs=None, friction=None, kinds=()):
+    terms = {} if springs is None else {"springs": Springs(jnp.asarray(springs, float))}
+    viscous = None if friction is None else SumDissipation({"viscous": ViscousFriction(jnp.asarray(friction, float))})
+    mass = CoupledMasses.ones(len(names)).nearest(np.asarray(matrix, float))
+    potential = SumPotential(jnp.asarray(weight, float), terms)
+    return with_kinds(
+        ConstrainedLagrangian(mass, potential, None, Constraints(names, items), viscous), kinds, key=jax.random.key(0)
+    )
+
+
+def moved(chosen, x):
+    """Keypoints of the law's own motion from rest."""
+    roll = MechanicalDynamics(chosen, RK4(20))
+    return np.asarray(roll.rollout(State(Motion(x, jnp.zeros_like(x)), {}), jnp.zeros(0), DT, FRAMES - 1).x)
+
+
+def simulated(chosen, x, q, metres=1.0):
+    """Keypoints of the exported model from rest, by its sensors, in image-plane units."""
+    model = mujoco.MjModel.from_xml_string(to_mjcf(chosen, np.asarray(chosen.constraint(x)), metres=metres))
+    data = mujoco.MjData(model)
+    data.qpos[:] = q
+    found = []
+    for k in range(FRAMES):
+        while data.time < k * DT - 1e-9:
+            mujoco.mj_step(model, data)
+        mujoco.mj_forward(model, data)
+        found.append(data.sensordata.reshape(-1, 3)[:, ::2].reshape(-1) / metres)
+    return np.array(found)
+
+
+def test_a_damped_pendulum_about_a_pivot_in_tilted_gravity():
+    chosen = law([[2.0]], (DistanceToPoint("ball", (0.1, 0.3)),), ("ball",), [3.0, 18.0], friction=[[0.4]])
+    x = jnp.array([0.1, 0.3]) + 0.6 * on_circle([1.1])
+    np.testing.assert_allclose(simulated(chosen, x, [1.1]), moved(chosen, x), atol=3e-3)
+
+
+def test_a_length_in_metres_keeps_the_period():
+    """The same picture of a mechanism of another size: gravity grows with the lengths."""
+    chosen = law([[1.0]], (DistanceToPoint("ball"),), ("ball",), [0.0, 12.0])
+    x = 0.6 * on_circle([0.7])
+    np.testing.assert_allclose(simulated(chosen, x, [0.7], metres=0.5), moved(chosen, x), atol=3e-3)
+
+
+def test_a_double_pendulum_with_links_of_spread_mass():
+    """A mass matrix with coupling, and the weights that gravity of 10 gives these rigid bodies."""
+    items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
+    matrix = [[1.6, 0.2], [0.2, 0.7]]
+    chosen = law(matrix, items, ("elbow", "tip"), [0, 17.0, 0, 9.0], friction=[[0.3, 0.0], [-0.1, 0.25]])
+    x = 0.5 * on_circle([0.6, -0.4])
+    np.testing.assert_allclose(simulated(chosen, x, [0.6, -1.0]), moved(chosen, x), atol=5e-3)
+
+
+def test_hinge_friction_of_a_cart_and_pole():
+    items = (OnLine("cart"), FixedDistance("cart", "tip"))
+    chosen = law([[1.0, 0.0], [0.0, 0.4]], items, ("cart", "tip"), [0, 0, 0, 4.0], kinds=("joints",))
+    chosen = eqx.tree_at(lambda law: law.dissipation.terms["joints"].strength, chosen, replace_fn=lambda b: b + 0.02)
+    x = jnp.array([0.1, -0.2, 0.1 + 0.5 * np.sin(0.8), -0.2 - 0.5 * np.cos(0.8)])
+    np.testing.assert_allclose(simulated(chosen, x, [0.1, 0.8]), moved(chosen, x), atol=3e-3)
+
+
+def test_a_cart_on_a_spring():
+    chosen = law([[2.0]], (OnLine("cart", (1.0, 0.5)),), ("cart",), [1.0, 0.3], springs=[[30.0]], friction=[[0.6]])
+    along = np.array([1.0, 0.5]) / np.hypot(1.0, 0.5)
+    x = jnp.asarray(0.4 * along + 0.1 * np.array([-along[1], along[0]]))
+    np.testing.assert_allclose(simulated(chosen, x, [0.4]), moved(chosen, x), atol=3e-3)
+
+
+def test_a_force_without_a_counterpart_is_refused():
+    items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
+    chosen = law(np.eye(2), items, ("elbow", "tip"), [0, 9.0, 0, 9.0], kinds=("pairs",))
+    with pytest.raises(KeycldError, match="'pairs' has no counterpart"):
+        to_mjcf(chosen, np.ones(2))
