@@ -44,13 +44,18 @@ def constants(run: Run) -> str:
         f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
         "the side of the cropped picture. ± is one standard error."
     )
+    forces = ", ".join(["gravity", *run.physics.get("forces", [])])
     notes = "".join(
         html.paragraph(f"<code>{html.text(name)}</code>: {html.text(each['note'])}.", "note")
         for name, each in run.physics["constants"].items()
         if "note" in each
     )
     table = html.table(["constant", "value", "given", "unit"], rows, "scores")
-    return html.section("constants", "Constants", html.paragraph(about) + table + notes)
+    return html.section(
+        "constants",
+        "Constants",
+        html.paragraph(about) + table + html.paragraph(f"Forces that act: {html.text(forces)}.") + notes,
+    )
 
 
 def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:
