@@ -49,11 +49,14 @@ def begun(words: list[str], outer: Path) -> tuple[int, int]:
         from keycld._signals import ENDING, end_on_signals
 
         end_on_signals()
+        os.write(2, b"\n")
         code = exit_code(words)
         if ENDING.is_set():
             time.sleep(60)  # the other thread ends the process
         os._exit(code)
     os.close(speaking)
+    # Before the first line of ours, Python itself ends.
+    os.read(listening, 1)
     os.set_blocking(listening, False)
     return child, listening
 
