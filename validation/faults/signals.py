@@ -9,6 +9,7 @@ command must do its work with what the try has left.
 
 import argparse
 import json
+import math
 import os
 import shutil
 import signal
@@ -99,11 +100,13 @@ def tries(base: Path, name: str, number: signal.Signals, count: int, random: Ran
     """Interrupt a verb at random moments, each time with the whole files; a whole run continues what the last left."""
     outer = fresh(base)
     words = [word.replace("{work}", str(outer / "work")) for word in {**VERBS, **ALSO}[name]]
-    since = time.monotonic()
-    child, listening = begun(words, outer)
-    waited(child, listening, 300.0)
-    os.close(listening)
-    whole, ends, longest = time.monotonic() - since, Counter(), 0.0
+    ends, longest, whole = Counter(), 0.0, math.inf
+    for _ in range(2):  # the first call may have to compile
+        since = time.monotonic()
+        child, listening = begun(words, fresh(base))
+        waited(child, listening, 300.0)
+        os.close(listening)
+        whole = min(whole, time.monotonic() - since)
     for _ in range(count):
         shutil.rmtree(outer / "work", ignore_errors=True)
         shutil.copytree(base / "original", outer / "work")
