@@ -143,7 +143,7 @@ def test_names_that_pages_import_exist(page):
             if isinstance(node, ast.ImportFrom) and str(node.module).partition(".")[0] == "keycld":
                 module = importlib.import_module(str(node.module))
                 for name in node.names:
-                    if name.name not in vars(module):
+                    if not hasattr(module, name.name):
                         importlib.import_module(f"{node.module}.{name.name}")
 
 

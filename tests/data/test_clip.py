@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, import_clip, open_data
+from keycld.data import check, clip_file, import_clip, is_clip, open_data, read
 from keycld.drawing import save_movie
 
 
@@ -71,3 +71,35 @@ def test_no_videos(tmp_path):
         import_clip(tmp_path / "text.mp4", tmp_path / "a", constraints="pendulum")
     with pytest.raises(KeycldError, match="there is no video"):
         import_clip(tmp_path / "none.mp4", tmp_path / "a", constraints="pendulum")
+
+
+def test_the_motion_of_a_chain_is_learned_in_halves(tmp_path):
+    import_clip(video(tmp_path, swing()), tmp_path / "a", constraints="double-pendulum", size=16)
+    data = open_data(tmp_path / "a")
+    assert data.train().image.shape[:2] == (2, 27) and data.test().image.shape[:2] == (1, 30)
+
+
+def test_several_clips_of_one_place_share_crop_and_are_split_each(tmp_path):
+    first = video(tmp_path, swing(), "a.mp4")
+    second = video(tmp_path, swing(75, seed=1), "b.mp4")
+    clip = import_clip([first, second], tmp_path / "both", constraints="pendulum", size=16)
+    assert clip.frames == (54 + 45, 6 + 5, 30 + 25)
+    data = open_data(tmp_path / "both")
+    assert data.train().image.shape == (2, 45, 16, 16, 3) and data.test().image.shape[:2] == (2, 25)
+    other = video(tmp_path, swing(70, size=(96, 112)), "c.mp4")
+    with pytest.raises(KeycldError, match="give videos from the same camera and place"):
+        import_clip([first, other], tmp_path / "c", constraints="pendulum")
+
+
+def test_a_video_from_the_same_place_becomes_one_recording_as_the_clip_was(tmp_path):
+    path = video(tmp_path, swing())
+    import_clip(path, tmp_path / "a", constraints="pendulum", size=16, fps=100.0)
+    data = open_data(tmp_path / "a")
+    again = read(clip_file(path, tmp_path / "again.h5", data.attributes, 16))
+    assert again.dt == pytest.approx(0.01) and is_clip(data.attributes)
+    np.testing.assert_array_equal(again.image[0, :54], data.train().image[0])
+    wide = video(tmp_path, swing(70, size=(96, 112)), "c.mp4")
+    with pytest.raises(KeycldError, match="has 112 x 96 pixels, the video that was learned 128 x 96"):
+        clip_file(wide, tmp_path / "b.h5", data.attributes, 16)
+    with pytest.raises(KeycldError, match="the model learned from other data"):
+        clip_file(path, tmp_path / "b.h5", {"protocol": "import"}, 16)

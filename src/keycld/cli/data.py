@@ -136,10 +136,12 @@ def import_(
     fps: float | None = None,
     crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
     frames: int = 50,
+    split: Literal["recordings", "time"] = "recordings",
 ) -> None:
     """Turn videos, or a downloaded set of "Which priors matter?", into a data set.
 
-    Videos are cropped, resized, resampled in time and cut into trajectories.
+    Videos are cropped, resized, resampled in time and cut into trajectories. `--split time` is for short clips of one
+    motion, as `keycld watch` makes them: what moves is found, and training, validation and test are consecutive parts.
 
     Args:
         videos: One or more video files; or one folder of the original suite, with features.txt and train.tfrecord,
@@ -148,14 +150,25 @@ def import_(
         constraints: TOML file with keypoint names and constraints, or the name of a mechanism: pendulum,
             double-pendulum, cart-pole, spring; written into the folder.
         size: Height and width of the pictures, a multiple of 8.
-        fps: Frames a second to keep; by default those of the video.
-        crop: Part of the picture to keep, in pixels of the video; by default the largest central square.
-        frames: Frames of a trajectory.
+        fps: Frames a second to keep; by default those of the video. With --split time all frames are kept, and this is
+            the rate at which the camera recorded them.
+        crop: Part of the picture to keep, in pixels of the video; by default the largest central square, with --split
+            time what moves.
+        frames: Frames of a trajectory; not used with --split time.
+        split: recordings gives the first recordings of --frames frames each to training and the last ones to the test;
+            time splits each video in time, 60 % for training and the last third for the test.
     """
-    from keycld.data import import_suite, import_video
+    from keycld.data import import_clip, import_suite, import_video
 
     if len(videos) == 1 and (videos[0] / "features.txt").exists():
         print(f"imported: {import_suite(videos[0], out)}")
+        return
+    if split == "time":
+        if constraints is None:
+            raise KeycldError("--split time needs the mechanism: add --mechanism pendulum, or a TOML file.")
+        clip = import_clip(list(videos), out, size=size, fps=fps, crop=crop, constraints=constraints)
+        print(f"imported: {clip.folder}, {clip.fps:g} frames/s, crop {' '.join(map(str, clip.crop))}")
+        print(f"next: keycld train {clip.folder} --preset clip")
         return
     folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
     print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")

@@ -39,9 +39,19 @@ def evaluate(
         json: Print all scores as JSON, by protocol, instead of tables.
     """
     from keycld.cli.making import data_for
-    from keycld.data import open_data
-    from keycld.evaluation import as_json, evaluate_sweeps, references, save_evaluation, summary, with_given
+    from keycld.data import is_clip, open_data
+    from keycld.evaluation import (
+        MOTION,
+        as_json,
+        evaluate_motion,
+        evaluate_sweeps,
+        references,
+        save_evaluation,
+        summary,
+        with_given,
+    )
     from keycld.evaluation import evaluate as score
+    from keycld.models.base import HasLagrangian
     from keycld.training import Counted, finished, load_run, pretrained, run_folder
 
     folder, asked = run_folder(run), data
@@ -74,6 +84,8 @@ def evaluate(
             print(summary(result.scores), flush=True)
     if own and "sweeps" in dataset.splits:
         save_evaluation(folder, "sweeps", evaluate_sweeps(model, dataset))
+    if own and is_clip(dataset.attributes) and isinstance(model, HasLagrangian):
+        save_evaluation(folder, MOTION, evaluate_motion(model, dataset))
     print(as_json(scores) if json else f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
 
 

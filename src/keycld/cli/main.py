@@ -11,7 +11,21 @@ import tyro
 from keycld._compile_cache import SWITCH, use_compile_cache
 from keycld._errors import KeycldError, unknown
 from keycld._version import __version__
-from keycld.cli import bench, control, data, demo, evaluate, export, identify, info, models, predict, report, train
+from keycld.cli import (
+    bench,
+    control,
+    data,
+    demo,
+    evaluate,
+    export,
+    identify,
+    info,
+    models,
+    predict,
+    report,
+    train,
+    watch,
+)
 from keycld.cli.start import entry, say, unforeseen
 
 
@@ -28,6 +42,7 @@ def benchmarks() -> None:
 VERBS: dict[str, Callable] = {
     "demo": demo.demo,
     "data": data_sets,
+    "watch": watch.watch,
     "train": train.train,
     "eval": evaluate.evaluate,
     "predict": predict.predict,
@@ -57,6 +72,7 @@ GROUPS: dict[str, tuple[dict[str, Callable], str]] = {
 }
 DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving system from video, then predict and control it.
 
+`keycld watch clip.mp4 --mechanism pendulum` learns the physics of one video.
 `keycld demo` shows everything on one system. Step by step: `keycld train cartpole` (makes the data first),
 `keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints.
 

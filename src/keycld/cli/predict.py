@@ -1,9 +1,15 @@
 """The verb `keycld predict`."""
 
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import tyro
+
+from keycld._errors import KeycldError
+
+_HDF5 = (".h5", ".hdf5")
 
 
 def predict(
@@ -13,20 +19,37 @@ def predict(
     data: Path,
     out: Path,
     given: int | None = None,
-    first: int = 0,
+    first: Annotated[str, tyro.conf.arg(aliases=["--from"])] = "0",
 ) -> None:
     """Predict all frames of every trajectory in a file from its given frames and its inputs alone.
 
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
-        data: HDF5 file in keycld's format, with pictures or with states that keycld renders.
+        data: HDF5 file in keycld's format, with pictures or with states that keycld renders; or a video from the camera
+            and place of the clips that the run has learned.
         out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
-        given: Number of given frames; by default as many as the model needs.
-        first: Number of the first given frame. A reversible model predicts the frames before it backward.
+        given: Number of given frames; by default as many as the model needs. More make a better initial state.
+        first: The first given frame: its number, or its time such as 12.5s. A reversible model predicts the frames
+            before it backward.
     """
+    from keycld.data import clip_file, open_data, read
     from keycld.evaluation import predict_file
     from keycld.training import Counted, load_model
 
-    model, _ = load_model(run)
-    predict_file(model, data, out, given=given, first=first, progress=Counted("predict"))
+    model, config = load_model(run)
+    with tempfile.TemporaryDirectory() as folder:
+        file = data
+        if data.suffix.lower() not in _HDF5:
+            size = int(config.scene["height"])
+            file = clip_file(data, Path(folder) / f"{data.stem}.h5", open_data(config.data).attributes, size)
+        number = _frame(first, lambda: read(file, images=False, rows=slice(0, 1)).dt)
+        predict_file(model, file, out, given=given, first=number, progress=Counted("predict"))
     print(f"predictions: {out}")
+
+
+def _frame(first: str, dt: Callable[[], float]) -> int:
+    """Return the number of a frame that is given as a number, or as a time in seconds at the frame interval dt."""
+    try:
+        return round(float(first[:-1]) / dt()) if first.endswith("s") else int(first)
+    except (ValueError, OverflowError):
+        raise KeycldError(f"--from is the number of a frame, or a time such as 12.5s, not '{first}'.") from None

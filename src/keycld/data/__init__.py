@@ -27,7 +27,10 @@ if TYPE_CHECKING:
     from keycld.data.generate.make import make_data as make_data
     from keycld.data.generate.protocols import PROTOCOLS as PROTOCOLS
     from keycld.data.generate.sweeps import Sweep as Sweep
+    from keycld.data.imports.clip import ImportedClip as ImportedClip
+    from keycld.data.imports.clip import clip_file as clip_file
     from keycld.data.imports.clip import import_clip as import_clip
+    from keycld.data.imports.clip import is_clip as is_clip
     from keycld.data.imports.suite import import_suite as import_suite
     from keycld.data.imports.video import import_video as import_video
     from keycld.data.sample.clips import Clip as Clip
@@ -55,16 +58,19 @@ __all__ = [
     "RandomFrames",
     "Resident",
     "FrameGroups",
+    "ImportedClip",
     "Sweep",
     "TrainingData",
     "Trajectories",
     "WholeTrajectories",
     "Windows",
     "check",
+    "clip_file",
     "image_statistics",
     "import_clip",
     "import_suite",
     "import_video",
+    "is_clip",
     "make_data",
     "normalised_errors",
     "open_data",

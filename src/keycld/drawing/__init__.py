@@ -24,6 +24,8 @@ from keycld.drawing.overlays import to_pixels as to_pixels
 from keycld.drawing.palette import INK as INK
 from keycld.drawing.palette import KEYPOINT_COLOURS as KEYPOINT_COLOURS
 from keycld.drawing.palette import Ink as Ink
+from keycld.drawing.skeletons import overlay_links as overlay_links
+from keycld.drawing.skeletons import overlay_paths as overlay_paths
 
 __all__ = [
     "INK",
@@ -40,6 +42,8 @@ __all__ = [
     "map_figure",
     "overlay_heat_maps",
     "overlay_keypoints",
+    "overlay_links",
+    "overlay_paths",
     "overlay_timeline",
     "panels_figure",
     "save_figure",

@@ -18,6 +18,10 @@ from keycld.evaluation.metrics import mean_image as mean_image
 from keycld.evaluation.metrics import relative_errors as relative_errors
 from keycld.evaluation.metrics import statistics as statistics
 from keycld.evaluation.metrics import valid_prediction_time as valid_prediction_time
+from keycld.evaluation.motion import GIVEN as GIVEN
+from keycld.evaluation.motion import MOTION as MOTION
+from keycld.evaluation.motion import evaluate_motion as evaluate_motion
+from keycld.evaluation.motion import training_tracks as training_tracks
 from keycld.evaluation.named_protocols import PROTOCOLS as PROTOCOLS
 from keycld.evaluation.named_protocols import make_protocol as make_protocol
 from keycld.evaluation.named_protocols import protocol_named as protocol_named
@@ -64,8 +68,10 @@ __all__ = [
     "Constant",
     "DM_THRESHOLD",
     "Evaluation",
+    "GIVEN",
     "IdentifiedLog",
     "METRICS",
+    "MOTION",
     "Measured",
     "PAPER_VPT",
     "PHYSICS",
@@ -87,6 +93,7 @@ __all__ = [
     "energy_drift",
     "epsilon",
     "evaluate",
+    "evaluate_motion",
     "evaluate_sweeps",
     "fit_probe",
     "frame_errors",
@@ -117,6 +124,7 @@ __all__ = [
     "summary",
     "symetric",
     "threshold_text",
+    "training_tracks",
     "valid_prediction_time",
     "validation_epsilon",
     "with_given",

@@ -69,6 +69,7 @@ def measure_physics(
     mechanism: str | None = None,
     scale: Scale | None = None,
     worth: Mapping[str, float] | None = None,
+    needed: float = WORTH,
 ) -> Measured:
     """Measure the physical constants of a mechanism from tracks of its keypoints.
 
@@ -83,6 +84,7 @@ def measure_physics(
         mechanism: its name.
         scale: a known length or g, for constants in metres.
         worth: of each kind of force that was tried (`keycld.models.keycld.identify.evidence`).
+        needed: what a kind must be worth to stay.
 
     Raises:
         KeycldError: the scale does not fit the mechanism, or the motion does not determine its parameters at all.
@@ -98,7 +100,7 @@ def measure_physics(
         mechanism=mechanism,
         fps=1 / float(dt),
         constants=constants_of(found, scale),
-        rejected={kind: Rejected(worth=tried[kind], needed=WORTH) for kind in tried if kind not in acting},
+        rejected={kind: Rejected(worth=tried[kind], needed=needed) for kind in tried if kind not in acting},
         prediction={},
     )
     return Measured(physics, found)

@@ -51,6 +51,7 @@ class Physics(TypedDict):
         constants: by name; the names are stable (docs/physics.md).
         rejected: forces that were tried and dropped, by kind.
         prediction: scores of a prediction that was not part of the fit, {} without one.
+        given: what the user has measured, by the name of the constant.
     """
 
     mechanism: str | None
@@ -58,6 +59,7 @@ class Physics(TypedDict):
     constants: dict[str, Constant]
     rejected: dict[str, Rejected]
     prediction: dict[str, Any]
+    given: NotRequired[dict[str, float]]
 
 
 def save_physics(folder: str | Path, physics: Physics) -> Path:

@@ -10,6 +10,7 @@ from keycld._records import Name, NumberText, Unexpected, checked
 from keycld.evaluation.image_scores import ERROR_ARRAYS
 
 Number = float | None
+_MOTIONS = ("observed", "predicted")
 # Of what lies along an axis of a figure.
 _LARGEST = 1e9
 
@@ -113,8 +114,44 @@ class _Control(TypedDict):
     passivity: NotRequired[_Passivity]
 
 
+class _Errors(TypedDict):
+    rms: Number
+    largest: Number
+    end: Number
+
+
+class _Followed(TypedDict):
+    error: _Errors
+    valid: dict[NumberText, float]
+
+
+class _Residual(TypedDict):
+    residual: float
+    largest: float
+
+
+class _Link(TypedDict):
+    label: str
+    keypoints: list[str]
+    point: tuple[float, float] | None
+
+
+class _Motion(_Followed):
+    split: Name
+    n: int
+    frames: int
+    given: int
+    dt: float
+    size: float
+    pixel: float
+    keypoints: list[str]
+    links: list[_Link]
+    baselines: dict[str, _Followed]
+    skeleton: dict[str, _Residual]
+
+
 def checked_scores(scores: dict[str, Any]) -> dict[str, Any]:
-    """Return the scores of a protocol or of a closed-loop run, if they are complete; those of sweeps are not read.
+    """Return the scores of a protocol, a closed-loop run or a motion, if they are complete; sweeps have none.
 
     Raises:
         Unexpected: an entry is missing or of another type.
@@ -122,6 +159,13 @@ def checked_scores(scores: dict[str, Any]) -> dict[str, Any]:
     if "law" in scores:
         found = checked(scores, _Control)
         _expect(found["dt"] > 0 and len(found["settled_seconds"]) == found["n"] > 0, "trials")
+        return found
+    if "skeleton" in scores:
+        found = checked(scores, _Motion)
+        _expect(found["dt"] > 0 and found["n"] > 0 and 0 < found["given"] < found["frames"], "frames")
+        _expect(found["size"] > 0 and found["pixel"] > 0, "size")
+        known = {name for link in found["links"] for name in link["keypoints"]}
+        _expect(known <= set(found["keypoints"]), "links")
         return found
     if "protocol" not in scores:
         return scores
@@ -157,6 +201,17 @@ def layout(scores: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
             "kinetic": ("f", f"{n} T"),
             "desired": ("f", f"{n} T"),
         }
+    if "skeleton" in scores:
+        n, length, keypoints = scores["n"], scores["frames"], len(scores["keypoints"])
+        kinds = ("error", *(f"error_{name.replace(' ', '_')}" for name in scores["baselines"]))
+        along = {"kinetic": ("f", f"{length}"), "potential": ("f", f"{length}"), "course": ("f", f"{length} c 2")}
+        return {
+            "frames": ("u", "F H W 3"),
+            "shown_index": ("i", "F"),
+            **{kind: ("f", f"{n} {length}") for kind in kinds},
+            **{motion: ("f", f"{length} {keypoints} 2") for motion in _MOTIONS},
+            **{f"{motion}_{name}": shape for motion in _MOTIONS for name, shape in along.items()},
+        }
     if "protocol" not in scores:
         return {}
     n, horizon = scores["n"], scores["protocol"]["horizon"]
@@ -188,6 +243,8 @@ def required(scores: Mapping[str, Any]) -> set[str]:
     if "law" in scores:
         shaped = {"kinetic", "desired"} if "passivity" in scores else set()
         return {"frames", "goal_frame", "x", "good", "input", "tilts", *shaped}
+    if "skeleton" in scores:
+        return {"frames", "shown_index", "error", *_MOTIONS}
     if "protocol" not in scores:
         return set()
     also = {"coordinate_error"} if "state" in scores else set()
@@ -208,6 +265,9 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
         whole = len(index) > 1 and index.min() >= 0 and index.max() < horizon and np.all(np.diff(index) > 0)
         _expect(bool(whole) and len(arrays["truth"]) > 0, "shown_index")
         _expect(np.all(np.abs(arrays["time"]) < _LARGEST), "time")
+    elif "skeleton" in scores:
+        index = arrays["shown_index"]
+        _expect(len(index) > 0 and index.min() >= 0 and index.max() < scores["frames"], "shown_index")
     elif "law" in scores:
         _expect(len(arrays["frames"]) == arrays["input"].shape[1] + 1 > 1 and arrays["x"].shape[2] % 2 == 0, "frames")
     elif arrays:

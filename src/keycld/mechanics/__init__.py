@@ -5,6 +5,7 @@ from keycld.mechanics.adaptive import DormandPrince as DormandPrince
 from keycld.mechanics.adaptive import adaptive_rollout as adaptive_rollout
 from keycld.mechanics.circle import nearest_circle as nearest_circle
 from keycld.mechanics.constants import Scale as Scale
+from keycld.mechanics.constants import lengths_of as lengths_of
 from keycld.mechanics.constants import physical_constants as physical_constants
 from keycld.mechanics.constraints import AbstractConstraint as AbstractConstraint
 from keycld.mechanics.constraints import Constraints as Constraints
@@ -183,6 +184,7 @@ __all__ = [
     "joining_velocity",
     "joint_positions",
     "joints_of",
+    "lengths_of",
     "load_constraints",
     "mechanisms",
     "momentum",

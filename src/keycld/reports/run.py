@@ -8,7 +8,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld._records import read_json, read_lines
-from keycld.evaluation import PHYSICS, Evaluation, load_evaluation
+from keycld.evaluation import MOTION, PHYSICS, Evaluation, Physics, load_evaluation, load_physics
 from keycld.training import read_verdict
 
 
@@ -26,6 +26,8 @@ class Run:
         controls: closed-loop runs by name.
         failures: what failed in each attempt of the training, in a sentence each.
         failed: whether the last of them ended the training.
+        motion: how the motion of a clip was followed and predicted, None if absent.
+        physics: physical constants of a clip, None if absent.
     """
 
     folder: Path
@@ -37,6 +39,8 @@ class Run:
     controls: dict[str, Evaluation]
     failures: list[str]
     failed: bool
+    motion: Evaluation | None = None
+    physics: Physics | None = None
 
     @property
     def headline(self) -> Evaluation | None:
@@ -87,6 +91,8 @@ def read_run(folder: str | Path) -> Run:
         controls={name: result for name, result in results.items() if "law" in result.scores},
         failures=verdict["failures"],
         failed=not verdict["passed"],
+        motion=results.get(MOTION),
+        physics=load_physics(folder) if (folder / "evaluation" / f"{PHYSICS}.json").exists() else None,
     )
 
 

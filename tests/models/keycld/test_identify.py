@@ -11,6 +11,7 @@ import pytest
 from keycld.data import Trajectories, resident
 from keycld.mechanics import Constraints, DistanceToPoint, OnLine, terms_of, with_kinds
 from keycld.models import Scene, config_for
+from keycld.models.keycld.identify import Tried
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.vision import AbstractEstimator, Observation
 from scenes import DT, SIZE, disc_pendulum, draw
@@ -71,7 +72,7 @@ def test_terms_that_do_not_act_are_dropped_at_the_end(capsys):
     begun, _ = identify_dynamics(eqx.tree_at(lambda m: m.dynamics.law, model, law), data, terms=tuple(terms_of(law)))
     kept, _ = fit_dynamics(begun, data)
     assert set(terms_of(kept.law)) == {"springs", "viscous", "coulomb"}
-    left, _ = fit_dynamics(begun, data, prune=True)
+    left, _ = fit_dynamics(begun, data, tried=Tried())
     assert set(terms_of(left.law)) == {"springs"} and "affine V, springs;" in capsys.readouterr().out
 
 

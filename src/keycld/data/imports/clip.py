@@ -1,10 +1,11 @@
-"""One video of one motion becomes a data set: crop to what moves, split in time."""
+"""Videos of one motion become a data set: crop to what moves, split in time."""
 
 import math
 import time
+from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -12,7 +13,17 @@ from jaxtyping import UInt8
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld._files import make_folder
-from keycld.data.imports.video import constraints_text, decode, origin, probe, spool_in, store, unreadable
+from keycld.data.format.writing import write
+from keycld.data.imports.video import (
+    as_trajectories,
+    constraints_text,
+    decode,
+    origin,
+    probe,
+    spool_in,
+    store,
+    unreadable,
+)
 
 _FEWEST, _MOST = 60, 1200
 """Frames of a video; of longer ones every second, third, … frame is kept."""
@@ -20,16 +31,18 @@ _LOOKED, _SIDE = 300, 160
 """Frames and pixels of the shorter side in which motion is looked for."""
 _TRAIN, _TEST = 0.6, 1 / 3
 """Shares of the frames: the first ones for training, the last ones for the test."""
+CLIP = "clip"
+"""The split plan of a data set that was made of a clip."""
 
 
 class ImportedClip(NamedTuple):
-    """What was made of a video.
+    """What was made of one or more videos.
 
     Attributes:
         folder: the data set.
-        crop: left, top, width and height of the part that is kept, pixels of the video.
+        crop: left, top, width and height of the part that is kept, pixels of the videos.
         fps: frames a second of the recordings, in the time of the camera.
-        frames: of training, validation and test.
+        frames: of training, validation and test, of all videos.
     """
 
     folder: Path
@@ -38,8 +51,19 @@ class ImportedClip(NamedTuple):
     frames: tuple[int, int, int]
 
 
+class _Video(NamedTuple):
+    """A video that was looked at: its size, frames a second, seconds, and the part that moves."""
+
+    path: Path
+    width: int
+    height: int
+    rate: Fraction
+    seconds: float
+    part: tuple[float, float, float, float]
+
+
 def import_clip(
-    path: str | Path,
+    paths: str | Path | Sequence[str | Path],
     out: str | Path,
     *,
     constraints: str | Path,
@@ -48,14 +72,14 @@ def import_clip(
     crop: tuple[int, int, int, int] | None = None,
     longest: int = 400,
 ) -> ImportedClip:
-    """Make a data set of one video of one motion, of 60 frames to some minutes.
+    """Make a data set of one video of one motion, of 60 frames to some minutes, or of several from the same place.
 
     The first three fifths of the frames are for training, the last third for the test, those between for validation.
-    Each part is one recording, or several of equal length after one another. All frames are kept up to 1200, of longer
-    videos every second, third, … one.
+    Each part is one recording, or several of equal length after one another. Of several videos all recordings of a part
+    have the length of the shortest. All frames are kept up to 1200, of longer videos every second, third, … one.
 
     Args:
-        path: a video, any format that ffmpeg reads.
+        paths: videos of one mechanism, any format that ffmpeg reads.
         out: the folder to make.
         constraints: a TOML file of keypoints and constraints, or the name of a mechanism.
         size: pixels of a side of the pictures, a multiple of 8.
@@ -64,40 +88,130 @@ def import_clip(
         longest: the most frames of a recording.
 
     Raises:
-        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut, a bad crop or rate.
+        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut, a bad crop, size or
+            rate; videos of different sizes or rates.
     """
-    began, path, out = time.monotonic(), Path(path), Path(out)
+    began, out = time.monotonic(), Path(out)
+    sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     text = constraints_text(constraints)
-    if not path.is_file():
-        raise KeycldError(f"there is no video {path}: check the path.")
+    if size < 8 or size % 8:
+        raise KeycldError(f"size must be a multiple of 8, not {size}.")
     if fps is not None and not 0 < fps < float("inf"):
         raise KeycldError(f"fps must be above 0, not {fps}.")
-    width, height, own, seconds = probe(path)
-    grey = _grey(path, width, height, own, seconds)
+    videos = [_looked_at(path) for path in sources]
+    _refuse_unlike(videos)
+    first = videos[0]
+    corners = np.array([video.part for video in videos])
+    part = (*corners[:, :2].min(axis=0).tolist(), *corners[:, 2:].max(axis=0).tolist())
+    chosen = _square_around(part, first.width, first.height) if crop is None else crop
+    every = max(1, math.ceil(max(video.seconds for video in videos) * first.rate / _MOST))
+    make_folder(out.parent)
+    with spool_in(out.parent) as spool:
+        asked = None if every == 1 else float(first.rate / every)
+        decoded = [decode(path, spool, size, asked, chosen, 0.0, 1) for path in sources]
+        kept = decoded[0][1]
+        rate = kept if fps is None else fps / every
+        ends = np.cumsum([count for count, _ in decoded])
+        images = np.memmap(spool, np.uint8, "r", shape=(int(ends[-1]), size, size, 3))
+        split: dict[str, list[np.ndarray]] = {"train": [], "validation": [], "test": []}
+        for clip in np.split(images, ends[:-1]):
+            bounds = round(_TRAIN * len(clip)), len(clip) - round(_TEST * len(clip))
+            for name, some in zip(split, np.split(clip, bounds), strict=True):
+                split[name].append(some)
+        parts = {name: _recordings(clips, longest) for name, clips in split.items()}
+        if len(parts["train"]) == 1 and text.count("[[constraint]]") > 1:
+            # A chain's motion is fitted in halves: after a while nearby motions part.
+            parts["train"] = _recordings(split["train"], (len(split["train"][0]) + 1) // 2)
+        attributes = origin(sources, rate) | {"protocol": CLIP, "crop": chosen, "kept_fps": kept}
+        attributes["video_size"] = (first.width, first.height)
+        store(out, parts, attributes, text, began)
+    frames = [sum(len(clip) for clip in clips) for clips in split.values()]
+    return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]))
+
+
+def is_clip(attributes: Mapping[str, Any]) -> bool:
+    """Return whether a data set with these attributes was made of a clip."""
+    return attributes.get("protocol") == CLIP
+
+
+def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size: int) -> Path:
+    """Write all frames of a video as one recording, cropped and at the rate of a data set that was made of a clip.
+
+    Args:
+        video: from the same camera and place as the data set's.
+        out: HDF5 file to write.
+        like: attributes of the data set.
+        size: pixels of a side of the pictures.
+
+    Raises:
+        KeycldError: no such file, not a video, of another size, too long; the data set is not made of a clip.
+    """
+    video, out = Path(video), Path(out)
+    if not is_clip(like):
+        raise KeycldError(f"{video} is a video, but the model learned from other data: give an HDF5 file.")
+    if not video.is_file():
+        raise KeycldError(f"there is no video {video}: check the path.")
+    width, height, rate, seconds = probe(video)
+    own = tuple(int(side) for side in like["video_size"])
+    if (width, height) != own:
+        raise KeycldError(
+            f"{video} has {width} x {height} pixels, the video that was learned {own[0]} x {own[1]}: give one from the "
+            "same camera and place."
+        )
+    kept = Fraction(float(like["kept_fps"])).limit_denominator(100_000)
+    if kept > rate + Fraction(1, 100):
+        raise KeycldError(f"{video} has {float(rate):g} frames a second, but the model needs {float(kept):g}.")
+    if seconds * kept > _MOST:
+        raise KeycldError(f"{video} has more than {_MOST} frames: cut out the part to predict.")
+    left, top, crop_width, crop_height = (int(number) for number in like["crop"])
+    make_folder(out.parent)
+    with spool_in(out.parent) as spool:
+        asked = None if abs(kept - rate) < Fraction(1, 100) else float(kept)
+        total, _ = decode(video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1)
+        images = np.memmap(spool, np.uint8, "r", shape=(1, total, size, size, 3))
+        attributes = origin([video], 1 / float(like["dt"])) | {"system": str(like["system"])}
+        write(out, as_trajectories(np.asarray(images), attributes))
+    return out
+
+
+def _looked_at(path: Path) -> _Video:
+    """Read what a video shows, and refuse one that shows no motion of a mechanism.
+
+    Raises:
+        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut.
+    """
+    if not path.is_file():
+        raise KeycldError(f"there is no video {path}: check the path.")
+    width, height, rate, seconds = probe(path)
+    grey = _grey(path, width, height, rate, seconds)
     if len(grey) < _FEWEST:
         raise KeycldError(f"{path} has {len(grey)} frames, but {_FEWEST} are the least: record a longer video.")
     _refuse_cuts(grey, path)
-    part = _moving_part(grey, path)
-    chosen = _square_around(part, width, height) if crop is None else crop
-    every = max(1, math.ceil(seconds * own / _MOST))
-    make_folder(out.parent)
-    with spool_in(out.parent) as spool:
-        total, kept = decode(path, spool, size, None if every == 1 else float(own / every), chosen, 0.0, 1)
-        rate = kept if fps is None else fps / every
-        images = np.memmap(spool, np.uint8, "r", shape=(total, size, size, 3))
-        first, last = round(_TRAIN * total), total - round(_TEST * total)
-        bounds = {"train": (0, first), "validation": (first, last), "test": (last, total)}
-        parts = {name: _recordings(images[a:b], longest) for name, (a, b) in bounds.items()}
-        attributes = origin([path], rate) | {"crop": chosen, "kept_fps": kept}
-        store(out, parts, attributes, text, began)
-    return ImportedClip(out, chosen, rate, (first, last - first, total - last))
+    return _Video(path, width, height, rate, seconds, _moving_part(grey, path))
 
 
-def _recordings(images: np.ndarray, longest: int) -> np.ndarray:
-    """Return frames `[T, …]` as recordings `[N, T // N, …]`, N as small as the longest recording allows."""
-    count = math.ceil(len(images) / longest)
-    length = len(images) // count
-    return images[: count * length].reshape(count, length, *images.shape[1:])
+def _refuse_unlike(videos: Sequence[_Video]) -> None:
+    """Refuse videos that no single camera in one place can have recorded."""
+    first = videos[0]
+    for video in videos[1:]:
+        if (video.width, video.height) != (first.width, first.height):
+            raise KeycldError(
+                f"{video.path} has {video.width} x {video.height} pixels, {first.path} {first.width} x {first.height}: "
+                "give videos from the same camera and place."
+            )
+        if abs(video.rate - first.rate) > Fraction(1, 100):
+            raise KeycldError(
+                f"{video.path} has {float(video.rate):g} frames a second, {first.path} {float(first.rate):g}: give "
+                "videos of one rate."
+            )
+
+
+def _recordings(clips: Sequence[np.ndarray], longest: int) -> np.ndarray:
+    """Return frames `[T, …]` of each clip as recordings `[N, T', …]`, as long as `longest` and the shortest allow."""
+    shortest = min(len(clip) for clip in clips)
+    length = shortest // math.ceil(shortest / longest)
+    cut = [clip[: len(clip) // length * length].reshape(-1, length, *clip.shape[1:]) for clip in clips]
+    return cut[0] if len(cut) == 1 else np.concatenate(cut)
 
 
 def _grey(path: Path, width: int, height: int, rate: Fraction, seconds: float) -> UInt8[np.ndarray, "T h w"]:

@@ -47,16 +47,37 @@ class Tracks:
         u: inputs `[N, l]` or `[N, T, l]`.
         dt: seconds between frames.
         constants: values of Φ that all recordings share; None: each recording has its own.
+        located: whether unknown numbers of the constraints stay where the positions alone put them; otherwise they are
+            fitted with the dynamics.
     """
 
     x: jax.Array
     u: jax.Array
     dt: jax.Array
     constants: jax.Array | None
+    located: bool = False
 
     def __getitem__(self, recordings: slice) -> "Tracks":
         """Return some of the recordings."""
         return dataclasses.replace(self, x=self.x[recordings], u=self.u[recordings])
+
+
+@dataclasses.dataclass(frozen=True)
+class Tried:
+    """Which forces `identify` tries.
+
+    Attributes:
+        kinds: of the terms; None: all but the last resort.
+        worth: a term stays if without it the cost of the fit would rise by this share.
+        takes: each friction must take energy next to the others too, not only in their place.
+        located: pivots that the positions determine alone, because they span 1.5 rad, are not fitted with the dynamics.
+            A real mechanism deviates from every law by more than from its circle, and would pull the pivot away.
+    """
+
+    kinds: tuple[str, ...] | None = None
+    worth: float = WORTH
+    takes: bool = False
+    located: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -75,7 +96,12 @@ class Identified:
 
 
 def identify(
-    dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, terms: tuple[str, ...] | None = None
+    dynamics: MechanicalDynamics,
+    tracks: Tracks,
+    *,
+    pixel: float,
+    terms: tuple[str, ...] | None = None,
+    tried: Tried | None = None,
 ) -> Identified:
     """Find the terms of V and R that act, their parameters, masses and input matrix, from observed keypoints.
 
@@ -85,23 +111,25 @@ def identify(
     all others eliminated. Those of the highest rank are judged first, and the others take over what they can. What is
     left is fitted again, from there and, if this explains the recordings less well than all terms did, from nothing. It
     stays if it is worth more than gravity alone. If the result explains the recordings badly, a potential energy of
-    free form is added.
+    free form is added, unless the kinds are limited.
 
     Args:
         dynamics: V affine; its parameters do not matter.
         tracks: of all recordings.
         pixel: size of a pixel, image-plane units.
         terms: kinds of the terms; None: those that the motion asks for.
+        tried: which kinds are tried, and what they must be worth; None: all.
     """
+    tried = tried or Tried()
     if terms is not None:
         fitted = _identified(dynamics, terms, tracks)
         return Identified(fitted.dynamics, float(fitted.rms), {})
     best = _identified(dynamics, (), tracks)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
-    everything = _with_everything(best, tracks, some, good=_GOOD * pixel)
+    everything = _with_everything(best, tracks, some, tried.kinds, good=_GOOD * pixel)
     # A fit of all terms that diverged says nothing about them.
     sound = bool(np.all(np.isfinite(everything.curvature)))
-    left, worth = _selected(everything, tracks.dt) if sound else (best.dynamics, {})
+    left, worth = _selected(everything, tracks.dt, tried) if sound else (best.dynamics, {})
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
         near = _fitted(left, tracks[some], everything.initial)
@@ -109,9 +137,9 @@ def identify(
         if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
             selected = min(selected, again, key=lambda fitted: float(fitted.cost))
-        if selected.cost < best.cost / (1 + WORTH):
+        if selected.cost < best.cost / (1 + tried.worth):
             best = selected
-    if best.rms > _GOOD * pixel:
+    if best.rms > _GOOD * pixel and tried.kinds is None:
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
         more = _fitted(_with_law(best.dynamics, grown), tracks, best.initial)
         worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
@@ -126,9 +154,11 @@ def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tr
     return _climb(_with_law(dynamics, regress_forces(law, free_leaves(law), tracks.x, tracks.u, tracks.dt)), tracks)
 
 
-def _with_everything(affine: Fitted, tracks: Tracks, some: slice, *, good: float) -> Fitted:
+def _with_everything(
+    affine: Fitted, tracks: Tracks, some: slice, tried: tuple[str, ...] | None, *, good: float
+) -> Fitted:
     """Fit all terms that are tried to some of the recordings: from the affine fit of all if its error is small."""
-    kinds = [kind for kind, term in term_kinds().items() if term.tried]
+    kinds = [kind for kind, term in term_kinds().items() if (term.tried if tried is None else kind in tried)]
     if affine.rms > good:
         return _identified(affine.dynamics, tuple(kinds), tracks[some])
     law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
@@ -145,16 +175,16 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
     return _fitted(dynamics, tracks, initial, active=active)
 
 
-def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, prune: bool = False) -> Fitted:
+def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> Fitted:
     """Fit the parameters of given dynamics to keypoints.
 
     Args:
         dynamics: near the solution.
         tracks: of all recordings.
-        prune: drop the terms of V and R without which the cost would hardly rise, as in `identify`.
+        tried: drop the terms of V and R that are not worth enough, as in `identify`; None: keep all.
     """
     fitted = _fitted(dynamics, tracks)
-    left = _selected(fitted, tracks.dt)[0] if prune else fitted.dynamics
+    left = fitted.dynamics if tried is None else _selected(fitted, tracks.dt, tried)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
     return _fitted(left, tracks, fitted.initial)
@@ -165,18 +195,22 @@ def follow(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
     return _climb(dynamics, tracks)
 
 
-def evidence(dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float) -> dict[str, float]:
+def evidence(
+    dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, tried: Tried | None = None
+) -> dict[str, float]:
     """Return the worth of each kind of force that is tried: by which share the cost rises without it, as in `identify`.
 
     Args:
         dynamics: identified ones; their masses and pivots are where the fit begins.
         tracks: of all recordings.
         pixel: size of a pixel, image-plane units.
+        tried: as in `identify`.
     """
+    tried = tried or Tried()
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     alone = _identified(dynamics, (), tracks)
-    everything = _with_everything(alone, tracks, some, good=_GOOD * pixel)
-    return _selected(everything, tracks.dt)[1] if np.all(np.isfinite(everything.curvature)) else {}
+    everything = _with_everything(alone, tracks, some, tried.kinds, good=_GOOD * pixel)
+    return _selected(everything, tracks.dt, tried)[1] if np.all(np.isfinite(everything.curvature)) else {}
 
 
 def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
@@ -194,7 +228,7 @@ def _fitted(
     active: Any = None,
 ) -> Fitted:
     if active is None:
-        active = jax.tree.map(lambda leaf: jnp.ones_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
+        active = _active(dynamics, tracks.located)
     return _fit(
         dynamics,
         free_leaves(dynamics),
@@ -207,6 +241,16 @@ def _fitted(
         frames=jnp.array(tracks.x.shape[1] if frames is None else frames),
         iterations=jnp.array(iterations),
     )
+
+
+def _active(dynamics: MechanicalDynamics, located: bool) -> Any:
+    """Return 1 for each number that a fit changes, 0 for those of the constraints if they are located."""
+
+    def active(path: Any, leaf: Any) -> Any:
+        stays = located and ".constraint_function" in jax.tree_util.keystr(path)
+        return (jnp.zeros_like if stays else jnp.ones_like)(leaf) if eqx.is_inexact_array(leaf) else leaf
+
+    return jax.tree_util.tree_map_with_path(active, dynamics)
 
 
 def _with_law(dynamics: MechanicalDynamics, law: ConstrainedLagrangian) -> MechanicalDynamics:
@@ -242,11 +286,11 @@ def free_leaves(dynamics: Any) -> Any:
     return jax.tree_util.tree_map_with_path(free, dynamics)
 
 
-def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[str, float]]:
+def _selected(fitted: Fitted, dt: jax.Array, tried: Tried) -> tuple[MechanicalDynamics, dict[str, float]]:
     """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
 
     Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
-    worth nothing: next to each other, two of them may have opposite signs.
+    worth nothing: next to each other, two of them may have opposite signs, unless `tried.takes`.
     """
     parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
@@ -280,9 +324,10 @@ def _selected(fitted: Fitted, dt: jax.Array) -> tuple[MechanicalDynamics, dict[s
         if kind in dissipations:
             rivals = linear & np.array([owner in (kept & dissipations) - {kind} for owner in owners])
             alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
-            gives = float(_power(_lagrangian(dynamics(alone)), kind, fitted.paths, dt)) <= 0
+            laws = [alone, flat] if tried.takes else [alone]
+            gives = any(float(_power(_lagrangian(dynamics(law)), kind, fitted.paths, dt)) <= 0 for law in laws)
         worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
-        if worth[kind] < WORTH:
+        if worth[kind] < tried.worth:
             kept.remove(kind)
             # What the others take over.
             flat = _without(curvature, flat, group, others)

@@ -207,15 +207,22 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     if config.model == "node2":
         dynamics = _gradient_stage(second, clips)
     else:
-        identify = functools.partial(identify_dynamics, terms=config.terms)
+        identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
         judge = functools.partial(judge_dynamics, worst=second.worst)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
-    last = sequence(functools.partial(fit_dynamics, prune=config.terms is None), measure_velocity_prior)
+    refit = functools.partial(fit_dynamics, tried=config.tried if config.terms is None else None)
     judge = functools.partial(judge_trained, reconstruction=first.worst, law=second.worst)
     prior = dataclasses.replace(
-        joint, name="prior", steps=0, prepare=last, every=0, refresh=None, judge=judge, validate=True
+        joint,
+        name="prior",
+        steps=0,
+        prepare=sequence(refit, measure_velocity_prior),
+        every=0,
+        refresh=None,
+        judge=judge,
+        validate=True,
     )
     return vision, dynamics, joint, prior
 

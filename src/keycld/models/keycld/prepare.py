@@ -14,21 +14,25 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import MechanicalDynamics, Motion, State, terms_of
-from keycld.models.keycld.identify import Tracks, explain, identify, refit
+from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State, terms_of
+from keycld.models.keycld.identify import Tracks, Tried, explain, identify, refit
 from keycld.models.keycld.losses import squared_error, unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
+# Radians that positions must span around a pivot to determine it alone.
+_TURNED = 1.5
+# A median frame is that of about so many frames.
+_MEDIAN = 300
 # Pixels of error that need no explanation.
 _CLOSE = 0.5
 # About how many recordings a fit observes, and a comparison of names.
 _FITTED, _COMPARED = 150, 8
 # Consecutive frames of a recording that a fit observes, at most. They tell the forces; more frames cost memory and time
-# in proportion, and tell little where nearby motions part.
-_SPAN = 80
+# in proportion, and tell little where nearby motions part. Of few recordings all frames are observed.
+_SPAN, _MOST = 80, 12_000
 # All orders of so many keypoints are compared: 720.
 _MOST_ORDERED = 6
 
@@ -48,6 +52,27 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
         (mean, deviation, mean),
     )
     return model, data
+
+
+def measure_background(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Put the median frame of the training data in place of the mean frame, and the deviation from it.
+
+    Of a clip with one motion the mean frame shows the parts where they turn round, faintly; the median shows the
+    background wherever it is seen for more than half of the time.
+
+    Raises:
+        KeycldError: all training frames are the same.
+    """
+    model, data = measure_statistics(model, data)
+    frames = np.asarray(data.image).reshape(-1, *data.image.shape[2:])
+    median = np.median(frames[:: max(1, len(frames) // _MEDIAN)], axis=0) / 255.0
+    deviation = np.sqrt(np.mean([np.mean((frame / 255.0 - median) ** 2) for frame in frames]))
+    background = jnp.asarray(median, jnp.float32)
+    return eqx.tree_at(
+        lambda m: (m.estimator.standardise.mean, m.estimator.standardise.deviation, m.renderer.background),
+        model,
+        (background, jnp.asarray(deviation, jnp.float32), background),
+    ), data
 
 
 def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -167,7 +192,9 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     return _sharing(model, data.cached), data
 
 
-def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | None = None) -> tuple[Any, Resident]:
+def identify_dynamics(
+    model: Any, data: Resident, *, terms: tuple[str, ...] | None = None, tried: Tried | None = None
+) -> tuple[Any, Resident]:
     """Find the forces that act from the keypoints of some recordings: `identify`, and print what it found.
 
     Unknown pivots and directions of the constraints, and the constants of Φ, are measured on the same keypoints first.
@@ -177,20 +204,22 @@ def identify_dynamics(model: Any, data: Resident, *, terms: tuple[str, ...] | No
         model: the model whose dynamics are identified.
         data: the training data.
         terms: kinds of the terms of V and R; None: those that the motion asks for.
+        tried: which kinds are tried, and what they must be worth; None: all.
     """
     if not isinstance(model, KeyCLD):
         return model, data
     x, u = _observed(model, data, _FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
-    found = identify(model.dynamics, Tracks(x, u, data.dt, model.constants), pixel=pixel, terms=terms)
+    tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
+    found = identify(model.dynamics, tracks, pixel=pixel, terms=terms, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, found.dynamics), x)
     _report(model, found.rms / pixel)
     return model, data
 
 
 def fit_dynamics(
-    model: Any, data: Resident, *, trajectories: int = _FITTED, prune: bool = False
+    model: Any, data: Resident, *, trajectories: int = _FITTED, tried: Tried | None = None
 ) -> tuple[Any, Resident]:
     """Fit masses, V, g and R to the keypoints of some recordings, by least squares through the dynamics.
 
@@ -202,16 +231,17 @@ def fit_dynamics(
         model: the model whose dynamics are fitted.
         data: the training data.
         trajectories: about how many of the recordings are observed.
-        prune: drop terms of V and R that the motion does not ask for after all.
+        tried: drop terms of V and R that the motion does not ask for after all; None: keep all.
     """
     if not isinstance(model, KeyCLD):
         return model, data
     x, u = _observed(model, data, trajectories)
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
-    fitted = refit(model.dynamics, Tracks(x, u, data.dt, model.constants), prune=prune)
+    tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
+    fitted = refit(model.dynamics, tracks, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
-    if prune:
+    if tried is not None:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
     # The median of |e| of a normal distribution is 0.67 σ.
     error = jnp.median(jnp.abs(fitted.paths - x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
@@ -260,18 +290,34 @@ def _observed(
 ) -> tuple[jax.Array, jax.Array]:
     """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs.
 
-    Long recordings are observed for a while only: `taken_up`, from frames on that are spread over them, else from
+    Many long recordings are observed for a while only: `taken_up`, from frames on that are spread over them, else from
     their first frame on.
     """
     step = max(1, len(data.u) // trajectories)
     some, length = range(first % step, len(data.u), step), data.image.shape[1]
-    span = min(_SPAN, length)
+    span = min(length, max(_SPAN, _MOST // len(some)))
     begin = np.linspace(0, (length - span) * taken_up, len(some)).round().astype(int)
     x = [_observe(model, data.image[i][k : k + span]) for i, k in zip(some, begin, strict=True)]
     u = data.u[some.start : some.stop : some.step]
     if u.ndim == 3:
         u = jnp.stack([each[k : k + span] for each, k in zip(u, begin, strict=True)])
     return jnp.stack(x), u
+
+
+def _located(model: KeyCLD, x: jax.Array, tried: Tried | None) -> bool:
+    """Return whether unknown numbers of the constraints stay where the positions `[N, T, 2K]` put them (`Tried`)."""
+    phi = model.law.constraint_function
+    if tried is None or not tried.located or not isinstance(phi, Constraints):
+        return False
+    points = np.asarray(x, float).reshape(-1, len(phi.keypoints), 2)
+    for item in phi.items:
+        if isinstance(item, DistanceToPoint) and item.learned is not None:
+            away = points[:, phi.keypoints.index(item.keypoint)] - np.asarray(item.learned)
+            middle = np.arctan2(*away.mean(axis=0)[::-1])
+            turned = np.angle(np.exp(1j * (np.arctan2(away[:, 1], away[:, 0]) - middle)))
+            if np.ptp(turned) < _TURNED:
+                return False
+    return True
 
 
 def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:

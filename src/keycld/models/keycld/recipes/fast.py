@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from jaxtyping import PRNGKeyArray
 
     from keycld.models.base import AbstractModel
+    from keycld.models.keycld.identify import Tried
     from keycld.models.keycld.model import AbstractKeypointModel
     from keycld.stages import Stage
 
@@ -182,6 +183,13 @@ class FastConfig(KeyCLDConfig):
     def context(self) -> int:
         """Two; more given frames make better predictions."""
         return 2
+
+    @property
+    def tried(self) -> "Tried":
+        """The forces that training tries, and what they must be worth to stay."""
+        from keycld.models.keycld.identify import Tried
+
+        return Tried()
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
         """Return settings of schema 1, which were flat, of 2, which had two joint stages, and of 3, without terms."""

@@ -1,0 +1,206 @@
+"""The verb `keycld watch`: clips of one mechanism in, its physics out."""
+
+import contextlib
+import re
+import shutil
+import sys
+import time
+from collections.abc import Sequence
+from json import dumps
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from keycld._errors import KeycldError
+from keycld._files import write_text
+from keycld._records import read_json
+
+if TYPE_CHECKING:
+    from keycld.data import DataSet
+    from keycld.evaluation import Physics
+    from keycld.mechanics import Scale
+    from keycld.models.base import AbstractModel
+
+_REQUEST = "watch.json"
+"""In a run folder: which clips and options its data were made of."""
+_LENGTH = re.compile(r"\s*(\w+)\s*[-–]\s*(\w+)\s*=\s*(\d+\.?\d*|\.\d+)\s*(m|cm|mm)\s*")
+_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+
+
+def watch(
+    clips: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="CLIP ...")],
+    /,
+    *,
+    mechanism: Annotated[str, tyro.conf.arg(aliases=["--constraints"])],
+    fps: float | None = None,
+    crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
+    size: int = 64,
+    length: str | None = None,
+    gravity: float | None = None,
+    out: Path | None = None,
+    set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
+    seed: int = 0,
+    json: bool = False,
+) -> None:
+    """Learn the physics of a mechanism from one video, or from several of the same place, in minutes.
+
+    The part that moves is found, the video is split in time, a model is trained on the first part, its constants are
+    measured with error bars, and the last third is predicted from its first ten frames. The same command resumes.
+
+    Args:
+        clips: Videos of one mechanism by a camera at rest, of 60 frames to some minutes.
+        mechanism: Its name: pendulum, double-pendulum, cart-pole or spring; or a TOML file with keypoints and
+            constraints.
+        fps: Frames a second with which the camera recorded, where the file states another rate, such as slow motion.
+        crop: Part of the picture to keep, a square in pixels of the video; by default what moves.
+        size: Height and width of the pictures that the model sees, a multiple of 8.
+        length: A known length, such as "pivot-ball = 0.31 m", for constants in metres.
+        gravity: The strength of gravity in m/s², such as 9.81; sets the scale where no length does, and is compared
+            with the measured one otherwise.
+        out: Run folder; by default runs/CLIP-watch-SEED.
+        set: Settings of the preset clip to change, such as vision.steps=1500.
+        seed: Of weights and data order.
+        json: Print the contents of evaluation/physics.json, and everything else on the standard error.
+    """
+    from keycld.cli.settings import parse_setting
+    from keycld.evaluation import MOTION, as_json, evaluate_motion, load_physics, save_evaluation, save_physics
+    from keycld.models import config_for
+    from keycld.reports import write_report
+    from keycld.training import Counted
+    from keycld.training import train as train_model
+
+    began = time.monotonic()
+    if not clips:
+        raise KeycldError("name at least one video: keycld watch swing.mp4 --mechanism pendulum.")
+    scale = scale_of(length, gravity, mechanism)
+    settings = config_for("keycld", "clip", **dict(parse_setting(text) for text in set))
+    run = out or Path("runs") / f"{clips[0].stem}-watch-{seed}"
+    with contextlib.redirect_stdout(sys.stderr if json else sys.stdout):
+        data = _imported(clips, run, mechanism, fps, crop, size)
+        model = train_model(data.folder, run, settings, seed=seed)
+        motion = evaluate_motion(model, data, progress=Counted("predict"))
+        save_evaluation(run, MOTION, motion)
+        physics = _measure(run, model, data, motion.scores, mechanism, scale)
+        save_physics(run, {**physics, "given": given(scale, gravity)})
+        print(f"{time.monotonic() - began:.0f} s; open {write_report(run)} in a browser", flush=True)
+    print(as_json(dict(load_physics(run))) if json else _table(load_physics(run)))
+
+
+def scale_of(length: str | None, gravity: float | None, mechanism: str) -> "Scale | None":
+    """Return what makes units metres: a length such as "pivot-ball = 0.31 m", without one the strength of gravity.
+
+    Raises:
+        KeycldError: the text is no length, the mechanism has no such length, or a value is not above zero.
+    """
+    import jax.numpy as jnp
+
+    from keycld.mechanics import Scale, lengths_of, load_constraints
+
+    if gravity is not None and not 0 < gravity < float("inf"):
+        raise KeycldError(f"--gravity is a number of m/s² above 0, not {gravity}.")
+    if length is None:
+        return None if gravity is None else Scale(None, gravity)
+    found = _LENGTH.fullmatch(length)
+    metres = float(found[3]) * _UNITS[found[4]] if found else 0.0
+    if found is None or not 0 < metres < float("inf"):
+        raise KeycldError(f'--length is two ends and a length, such as "pivot-ball = 0.31 m", not "{length}".')
+    constraints = load_constraints(mechanism)
+    known = {frozenset(ends): ends for ends in lengths_of(constraints, jnp.ones(constraints.count))}
+    if frozenset(found.group(1, 2)) not in known:
+        names = ", ".join("-".join(ends) for ends in known.values()) or "none"
+        raise KeycldError(f"no length {found[1]}-{found[2]} is constant in this mechanism: choose from {names}.")
+    return Scale(known[frozenset(found.group(1, 2))], metres)
+
+
+def given(scale: "Scale | None", gravity: float | None) -> dict[str, float]:
+    """Return what the user has measured, by the names of the constants in metres."""
+    length = {} if scale is None or scale.between is None else {f"length_{'_'.join(scale.between)}_m": scale.value}
+    return length | ({} if gravity is None else {"gravity_m": gravity})
+
+
+def _imported(
+    clips: Sequence[Path],
+    run: Path,
+    mechanism: str,
+    fps: float | None,
+    crop: tuple[int, int, int, int] | None,
+    size: int,
+) -> "DataSet":
+    """Return the data set of a run, made of the clips unless it is there.
+
+    Raises:
+        KeycldError: as `import_clip`, which leaves nothing; or the run is of other clips or options.
+    """
+    from keycld.data import import_clip, open_data, sha256, unfinished
+    from keycld.data.imports.video import constraints_text
+
+    folder = run / "data"
+    for clip in clips:
+        if not clip.is_file():
+            raise KeycldError(f"there is no video {clip}: check the path.")
+    request = {
+        "clips": [sha256(clip) for clip in clips],
+        "constraints": constraints_text(mechanism),
+        "fps": fps,
+        "crop": None if crop is None else list(crop),
+        "size": size,
+    }
+    there = run.exists()
+    if (run / _REQUEST).exists():
+        before = read_json(run / _REQUEST, dict[str, Any], f"delete {run}")
+        for name, value in request.items():
+            if before.get(name) != value:
+                raise KeycldError(f"{run} is of other {name}: choose another --out, or delete that folder.")
+    try:
+        write_text(run / _REQUEST, dumps(request, indent=1))
+        if unfinished(folder) or not (folder / "train.h5").exists():
+            made = import_clip(clips, folder, constraints=mechanism, size=size, fps=fps, crop=crop)
+            counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
+            crop_text = " ".join(map(str, made.crop))
+            print(f"clip         {made.fps:g} frames/s, crop {crop_text}, frames: {counts}", flush=True)
+    except KeycldError:
+        if not there:
+            shutil.rmtree(run, ignore_errors=True)
+        raise
+    return open_data(folder)
+
+
+def _measure(
+    run: Path, model: "AbstractModel", data: "DataSet", motion: dict[str, Any], mechanism: str, scale: "Scale | None"
+) -> "Physics":
+    """Measure the constants on the training keypoints; return them with the scores of the prediction."""
+    import jax.numpy as jnp
+
+    from keycld.evaluation import measure_physics, training_tracks
+    from keycld.mechanics import MechanicalDynamics
+    from keycld.models.keycld.identify import Tracks, evidence
+    from keycld.models.keycld.model import KeyCLD
+    from keycld.models.keycld.recipes.clip import ClipConfig
+    from keycld.training import read_config
+
+    config = read_config(run).model_config()
+    assert isinstance(model, KeyCLD) and isinstance(config, ClipConfig)
+    dynamics = model.dynamics
+    assert isinstance(dynamics, MechanicalDynamics)
+    x, u = training_tracks(model, data)
+    worth = {}
+    if config.terms is None:
+        tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
+        worth = evidence(dynamics, tracks, pixel=motion["pixel"], tried=config.tried)
+    name = Path(mechanism).stem
+    measured = measure_physics(
+        dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
+    )
+    said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton")
+    return {**measured.physics, "prediction": {name: motion[name] for name in said}}
+
+
+def _table(physics: "Physics") -> str:
+    """Return the constants, one a line."""
+    lines = []
+    for name, each in physics["constants"].items():
+        value = "not determined" if each["value"] is None else f"{each['value']:.5g}"
+        error = f" ± {each['sigma']:.2g}" if each["sigma"] else ""
+        lines.append(f"{name:24} {value}{error} {each['unit']}")
+    return "\n".join(lines)

@@ -1,0 +1,70 @@
+"""The preset for short clips of one real motion."""
+
+import dataclasses
+from typing import TYPE_CHECKING
+
+from keycld.models.keycld.config import MODELS
+from keycld.models.keycld.recipes.fast import FastConfig, JointStage, VisionStage
+from keycld.models.registry import register_preset
+from keycld.models.scene import Scene
+
+if TYPE_CHECKING:
+    from keycld.models.keycld.identify import Tried
+    from keycld.stages import Stage
+
+
+@register_preset("clip", *MODELS)
+@dataclasses.dataclass(frozen=True)
+class ClipConfig(FastConfig):
+    """The preset of `keycld watch`: for one short clip of a real mechanism, 60 to some hundred frames.
+
+    1. `vision`: single frames; patches around keypoints must show the same in all of them, so that keypoints are fixed
+       to the parts that they follow.
+    2. `dynamics`: no steps; identifies the forces that act, and their strength, from the keypoints of the recording.
+    3. `joint`, left out where it has no steps.
+    4. `prior`: no steps; fits once more. Then the validation score. There is no velocity prior.
+    """
+
+    velocity_prior: bool = False
+    """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
+    first_frames: float = 0.0
+    """Share of the clips that contain the first frames of a trajectory."""
+    rigid: float = 2.0
+    """Weight of what patches around keypoints share."""
+    patch: float = 0.06
+    """Width of these patches, image-plane units."""
+    worth: float = 0.05
+    """Share by which the cost of the fit must rise without a force for it to stay."""
+    vision: VisionStage = VisionStage(steps=800, candidates=2)
+    """First stage."""
+    joint: JointStage = JointStage(steps=0)
+    """Third stage."""
+
+    @property
+    def tried(self) -> "Tried":
+        """Friction, and all kinds where a keypoint slides or is free; one short motion can ask for any other force.
+
+        With keypoints that are a little wrong, a hinge would get a spring that it does not have.
+        """
+        from keycld.mechanics import AbstractDisplacement, AbstractDissipationTerm, term_kinds
+        from keycld.models.keycld.identify import Tried
+
+        relations = [item for item in self.phi.items if isinstance(item, AbstractDisplacement)]
+        hinged = {name for item in relations if item.normal is None for name in item.keypoints}
+        if hinged != set(self.phi.keypoints) or any(item.normal is not None for item in relations):
+            return Tried(None, self.worth, takes=True, located=True)
+        friction = (kind for kind, term in term_kinds().items() if issubclass(term, AbstractDissipationTerm))
+        return Tried(tuple(friction), self.worth, takes=True, located=True)
+
+    def stages(self, scene: Scene) -> "tuple[Stage, ...]":
+        """Return the stages of `fast` with the loss of patches; without `joint` if it has no steps."""
+        from keycld.models.keycld.losses import VisionLoss
+        from keycld.models.keycld.prepare import measure_background
+        from keycld.models.keycld.rigid_loss import RigidLoss
+
+        vision, *others = super().stages(scene)
+        assert isinstance(vision.alternative, VisionLoss)
+        # All candidates are pulled to what the rendered frames lack: the trial compares them before patches count.
+        loss = RigidLoss(vision.alternative, self.rigid, self.patch)
+        vision = dataclasses.replace(vision, loss=loss, alternative=None, prepare=measure_background)
+        return vision, *(stage for stage in others if stage.name != "joint" or stage.steps)

@@ -1,0 +1,135 @@
+"""The sections on a clip: the movie, the constants with their error bars, prediction, course and energy."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from keycld.drawing import save_figure
+from keycld.reports import clip_figures, html
+from keycld.reports.run import Run
+
+
+def head(run: Run) -> str:
+    """Show the title, a summary, and the movie of the last third of the clip."""
+    result = run.motion
+    assert result is not None
+    scores = result.scores
+    name = html.text(str(run.config.get("system", "clip")).capitalize())
+    facts = {"frames/s": f"{1 / scores['dt']:.4g}", "seed": run.config.get("seed", "–")}
+    if run.physics is not None and run.physics["mechanism"]:
+        facts = {"mechanism": run.physics["mechanism"], **facts}
+    line = "".join(f"<span>{html.text(key)} <b>{html.text(value)}</b></span>" for key, value in facts.items())
+    lede = (
+        "The first part of a video taught the model how this mechanism moves. Here it is given the first "
+        f"{scores['given']} frames of the last third, and predicts the other {scores['frames'] - scores['given']}."
+    )
+    caption = (
+        "Grey-white: the links as observed in the video. In colour: the links as predicted from the first "
+        f"{scores['given']} frames shown, and dots where the keypoints will be next."
+    )
+    movie = html.figure(clip_figures.motion_movie(run.folder, result), caption, "clip")
+    top = f'<p class="eyebrow">KeyCLD · the physics of a clip</p><h1>{name}</h1>'
+    return f'<header>{top}<p class="lede">{lede}</p><p class="facts">{line}</p></header>{movie}'
+
+
+def constants(run: Run) -> str:
+    """Show the physical constants with error bars, next to what the user has measured."""
+    if run.motion is None:
+        return ""
+    if run.physics is None:
+        return html.missing("constants", "Constants", "they have not been measured")
+    given = run.physics.get("given", {})
+    rows = [_constant(name, each, given.get(name)) for name, each in run.physics["constants"].items()]
+    note = (
+        f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
+        "the side of the cropped picture. ± is one standard error."
+    )
+    return html.section(
+        "constants",
+        "Constants",
+        html.paragraph(note) + html.table(["constant", "value", "given", "unit", "note"], rows, "scores"),
+    )
+
+
+def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:
+    rest = "" if given is None else f"{given:.4g}", html.text(each["unit"]), html.text(each.get("note", ""))
+    if each["value"] is None:
+        return f"<code>{html.text(name)}</code>", "not determined", *rest
+    value = f"{each['value']:.4g}"
+    if each["sigma"]:
+        digits = max(0, 1 - math.floor(math.log10(each["sigma"])))
+        value = f"{each['value']:.{digits}f} ± {each['sigma']:.{digits}f}"
+    return f"<code>{html.text(name)}</code>", value, *rest
+
+
+def rejected(run: Run) -> str:
+    """Show which forces were tried and dropped, and on what evidence."""
+    if run.motion is None or run.physics is None or not run.physics["rejected"]:
+        return ""
+    rows = [
+        (html.text(kind), f"{100 * each['worth']:.1f} %", f"{100 * each['needed']:.0f} %")
+        for kind, each in run.physics["rejected"].items()
+    ]
+    note = (
+        "These forces were tried and dropped: without one of them the cost of the fit rises by the share in the second "
+        "column, and a force must be worth the share in the third."
+    )
+    table = html.table(["force", "the cost rises by", "needed"], rows, "scores")
+    return html.section("rejected", "What was rejected", html.paragraph(note) + table)
+
+
+def prediction(run: Run) -> str:
+    """Show the error of the prediction over time next to motions without physics, and the residuals of the skeleton."""
+    if run.motion is None:
+        return ""
+    scores = run.motion.scores
+    followed = {"this model": scores, **scores["baselines"]}
+    rows = [
+        (html.text(name), *(_percent(each["error"][key]) for key in ("rms", "largest", "end")), *_valid(each))
+        for name, each in followed.items()
+    ]
+    limits = [f"frames below {float(limit):.0%}" for limit in scores["valid"]]
+    table = html.table(["", "rms", "largest", "last tenth", *limits], rows, "scores")
+    size, pixel = scores["size"], scores["pixel"]
+    note = (
+        "The error is the largest distance of a predicted keypoint from the observed one, as a share of the size of "
+        f"the mechanism ({size:.3g} units, {size / pixel:.1f} pixels). The other two are polynomials through the same "
+        "given frames."
+    )
+    chart = _chart(run, "motion-error", clip_figures.error_figure(run.motion))
+    residuals = [
+        (html.text(name), _percent(each["residual"]), _percent(each["largest"]))
+        for name, each in scores["skeleton"].items()
+    ]
+    skeleton = html.table(["constraint", "residual, rms", "largest"], residuals, "scores")
+    caption = "How far observed distances are from their mean, in all frames of the clip, as a share of the length."
+    parts = html.grid([html.figure(chart), html.figure(table)]) + html.figure(skeleton, caption)
+    return html.section("prediction", "Prediction", html.paragraph(note) + parts)
+
+
+def course(run: Run) -> str:
+    """Show coordinates over time, the phase portrait and the energy."""
+    if run.motion is None or "observed_course" not in run.motion.arrays:
+        return ""
+    result = run.motion
+    moved = html.figure(_chart(run, "course", clip_figures.course_figure(result)), "Angles from hanging straight down.")
+    phase = html.figure(_chart(run, "phase", clip_figures.phase_figure(result)), "Phase portrait.")
+    energy = html.figure(
+        _chart(run, "motion-energy", clip_figures.energy_figure(result)),
+        "Energy of the observed motion and of the predicted one; friction takes some. The common factor of mass and "
+        "force is not known, so the unit is the first total.",
+    )
+    return html.section("course", "Motion and energy", html.grid([moved, phase]) + energy)
+
+
+def _chart(run: Run, name: str, figure: Any) -> str:
+    save_figure(run.folder / "media" / f"{name}.png", figure)
+    return html.chart(figure, name)
+
+
+def _percent(share: float | None) -> str:
+    return f"{html.number(None if share is None else 100 * share)} %"
+
+
+def _valid(each: Mapping[str, Any]) -> list[str]:
+    return [f"{frames:.0f}" for frames in each["valid"].values()]

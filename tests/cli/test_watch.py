@@ -1,0 +1,141 @@
+"""`keycld watch` through the real command line, on tiny synthetic clips."""
+
+import json
+
+import h5py
+import numpy as np
+import pytest
+
+from keycld.cli.main import main
+from keycld.cli.watch import given, scale_of
+from keycld.drawing import save_movie
+
+_TINY = [
+    "width=8", "substeps=1", "vision.steps=150", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
+    "dynamics.worst=1e9", "terms=viscous,",
+]  # fmt: skip
+
+
+def swing(frames=66, *, size=(40, 48)):
+    """A bright disc that swings around (24, 4) in a grey picture."""
+    row, column = np.mgrid[: size[0], : size[1]]
+    angle = 0.9 * np.exp(-0.004 * np.arange(frames)) * np.cos(2 * np.pi * np.arange(frames) / 30)
+    x, y = 24 + 24 * np.sin(angle), 4 + 24 * np.cos(angle)
+    far = np.hypot(column[None] - x[:, None, None], row[None] - y[:, None, None])
+    disc = np.clip(4.5 - far, 0, 1)[..., None]
+    return np.round(40 + disc * np.array([200.0, 120.0, 30.0])).astype(np.uint8)
+
+
+def video(path, frames):
+    save_movie(path, frames, fps=25.0, scale=1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A clip and a run that has watched it."""
+    folder = tmp_path_factory.mktemp("watch")
+    video(folder / "swing.mp4", swing())
+    assert main(words(folder)) == 0
+    return folder
+
+
+def words(folder, *more, clip="swing.mp4"):
+    return ["watch", str(folder / clip), "--mechanism", "pendulum", "--size", "16", "--out", str(folder / "run"),
+            "--set", *_TINY, *more]  # fmt: skip
+
+
+def test_a_clip_becomes_a_page_and_constants(place):
+    run = place / "run"
+    physics = json.loads((run / "evaluation" / "physics.json").read_text())
+    assert physics["mechanism"] == "pendulum" and physics["fps"] == pytest.approx(25)
+    assert {"pivot_x", "pivot_y", "length_pivot_ball", "viscous_rate"} <= physics["constants"].keys()
+    assert {"error", "valid", "baselines"} <= physics["prediction"].keys()
+    page = (run / "report.html").read_text()
+    assert "<video" in page and "Constants" in page and "pivot_x" in page and 'src="http' not in page
+
+
+def test_the_same_command_resumes_and_other_clips_need_another_run(place, capsys):
+    before = (place / "run" / "data" / "train.h5").stat().st_mtime_ns
+    assert main(words(place, "--json")) == 0
+    told = capsys.readouterr()
+    assert json.loads(told.out)["constants"].keys() and "clip     " not in told.err and "vision   " not in told.err
+    assert (place / "run" / "data" / "train.h5").stat().st_mtime_ns == before
+    assert main(words(place, "--fps", "100")) == 2
+    assert "is of other fps: choose another --out" in capsys.readouterr().err
+
+
+def test_prediction_of_a_video_from_any_moment(place, capsys):
+    out = place / "later.h5"
+    arguments = ["predict", str(place / "run"), "--data", str(place / "swing.mp4"), "--out", str(out)]
+    assert main([*arguments, "--from", "1.2s", "--given", "10"]) == 0
+    with h5py.File(out) as file:
+        assert file["keypoints"].shape == (1, 66, 1, 2) and file.attrs["first_given_frame"] == 30
+        assert file["image"].shape == (1, 66, 16, 16, 3)
+    capsys.readouterr()
+    for wrong, sentence in (
+        (["--from", "soon"], "--from is the number of a frame, or a time such as 12.5s, not 'soon'"),
+        (["--from", "3s", "--given", "10"], "have frames 0 to 65"),
+    ):
+        assert main([*arguments, *wrong]) == 2
+        assert sentence in capsys.readouterr().err
+    other = video(place / "wide.mp4", swing(size=(40, 64)))
+    assert main([*arguments[:3], str(other), *arguments[4:]]) == 2
+    assert "has 64 x 40 pixels, the video that was learned 48 x 40" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("frames", "sentence"),
+    [
+        (lambda: swing(2), "has 2 frames, but 60 are the least"),
+        (lambda: np.repeat(swing(1), 80, axis=0), "nothing moves in"),
+        (lambda: np.stack([np.roll(_texture(), 2 * k, axis=1) for k in range(70)]), "the whole picture moves in"),
+        (lambda: np.concatenate([swing(40), 255 - swing(40)]), "has a cut at 50 % of its length"),
+        (lambda: np.zeros((2, 2160, 3840, 3), np.uint8), "has 2 frames, but 60 are the least"),
+        (None, "cannot be read as a video"),
+    ],
+    ids=["two-frames", "still", "moving-camera", "cut", "4K", "corrupt"],
+)
+def test_wrong_videos_get_one_sentence_and_leave_nothing(tmp_path, capsys, frames, sentence):
+    path = tmp_path / "swing.mp4"
+    if frames is None:
+        whole = video(path, swing()).read_bytes()
+        path.write_bytes(whole[: len(whole) // 3])
+    else:
+        video(path, frames())
+    assert main(words(tmp_path)) == 2
+    told = capsys.readouterr().err.strip().splitlines()
+    assert told[-1].startswith("keycld: ") and sentence in told[-1]
+    assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
+
+
+def _texture():
+    random = np.random.default_rng(0)
+    return np.repeat(np.repeat(random.integers(0, 255, (10, 12, 3), np.uint8), 4, axis=0), 4, axis=1)
+
+
+@pytest.mark.parametrize(
+    ("more", "sentence"),
+    [
+        (["--length", "31 cm"], 'such as "pivot-ball = 0.31 m"'),
+        (
+            ["--length", "pivot-tip = 31 cm"],
+            "no length pivot-tip is constant in this mechanism: choose from pivot",
+        ),
+        (["--gravity", "-9.8"], "above 0"),
+        (["--size", "20"], "size must be a multiple of 8"),
+        (["--crop", "0", "0", "50", "50"], "does not lie inside"),
+    ],
+)
+def test_wrong_options(tmp_path, capsys, more, sentence):
+    video(tmp_path / "swing.mp4", swing())
+    assert main([*words(tmp_path), *more]) == 2
+    assert sentence in capsys.readouterr().err.strip().splitlines()[-1]
+    assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
+
+
+def test_units_of_a_length():
+    assert scale_of("ball – pivot = 31cm", None, "pendulum") == (("pivot", "ball"), pytest.approx(0.31))
+    assert scale_of(None, 9.81, "pendulum") == (None, 9.81) and scale_of(None, None, "pendulum") is None
+    scale = scale_of("pivot-ball = 310 mm", 9.81, "pendulum")
+    assert given(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}
