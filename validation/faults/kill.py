@@ -24,7 +24,7 @@ HOOK = Path(__file__).parent / "hook"
 
 # What the recordings of time and machine make different in every run.
 _TIMED = ("statistics.json", "environment.json", "metrics.jsonl", "README.md", "config.json", "position.json",
-          "bench.json", "bench.log", "table.md", "pendulum-ar-0.json",
+          "bench.json", "bench.log", "bench.lock", "table.md", "pendulum-ar-0.json",
           "pendulum-ar-0.failed.json")  # fmt: skip
 # What names the newest of several whole things.
 _POINTER = "latest"
