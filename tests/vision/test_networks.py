@@ -5,13 +5,26 @@ import numpy as np
 import pytest
 
 from keycld.vision import KeypointEstimator, LightUNet, PaperUNet, Renderer, Standardise
-from keycld.vision.layers import Conv, GroupNorm, depth_to_space, max_pool, space_to_depth, upsample
+from keycld.vision.layers import Block, Conv, GroupNorm, depth_to_space, max_pool, space_to_depth, upsample
 
 
 def test_max_pool_equals_reduce_window(getkey):
     x = jax.random.normal(getkey(), (8, 12, 3))
     expected = jax.lax.reduce_window(x, -jnp.inf, jax.lax.max, (2, 2, 1), (2, 2, 1), "VALID")
     np.testing.assert_array_equal(max_pool(x), expected)
+
+
+def test_the_gradient_of_max_pool_survives_a_compiler_that_rounds_twice(getkey):
+    """Without LLVM's optimisation what is pooled and skips the pool is computed twice, with another rounding."""
+    block, frames = Block(3, 8, key=getkey()), jax.random.uniform(getkey(), (4, 16, 16, 3))
+
+    def loss(kernel):
+        fine = jax.vmap(eqx.tree_at(lambda block: block.conv.kernel, block, kernel))(frames)
+        return jnp.sum(jax.vmap(max_pool)(fine) ** 2) + jnp.sum(fine**2)
+
+    kernel = block.conv.kernel
+    gradient = jax.jit(jax.grad(loss)).lower(kernel).compile(compiler_options={"xla_backend_optimization_level": 0})
+    assert np.isfinite(gradient(kernel)).all()
 
 
 def test_upsample_equals_nearest_resize(getkey):

@@ -101,8 +101,12 @@ class Block(eqx.Module):
 
 def max_pool(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
     """Apply 2×2 max-pooling."""
+    # Not `jnp.max`: its gradient divides by the number of values that equal the largest, which is none where XLA has
+    # computed x a second time and rounded it differently.
     h, w, c = x.shape
-    return jnp.max(x.reshape(h // 2, 2, w // 2, 2, c), axis=(1, 3))
+    pairs = x.reshape(h // 2, 2, w // 2, 2, c)
+    rows = jnp.maximum(pairs[:, 0], pairs[:, 1])
+    return jnp.maximum(rows[:, :, 0], rows[:, :, 1])
 
 
 def upsample(x: Float[Array, "h w c"]) -> Float[Array, "h2 w2 c"]:
