@@ -8,9 +8,12 @@ import pytest
 from mechanics_examples import double_pendulum, on_circle
 
 from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Constraints,
     CoupledMasses,
     MechanicalDynamics,
     Motion,
+    PointMasses,
     Rattle,
     State,
     SumPotential,
@@ -55,3 +58,15 @@ def test_masses_gravity_and_friction_of_a_double_pendulum(paths):
     expected = true.acceleration(x, v, u)
     np.testing.assert_allclose(found.acceleration(x, v, u), expected, atol=0.15 * float(jnp.abs(expected).max()))
     assert float(found.mass.matrix[1, 1] / found.mass.matrix[0, 0]) == pytest.approx(0.5, abs=0.25)
+
+
+def test_free_keypoints_have_no_constraints_to_leave_out(paths):
+    """`Constraints` without an item, as for two bodies: their springs are found."""
+    law = ConstrainedLagrangian(PointMasses.ones(2), SumPotential(jnp.zeros(4), {}), None, Constraints(("a", "b")))
+    guess = with_kinds(law, ("springs",), key=jax.random.key(0))
+    time = DT * jnp.arange(50)[None, :, None]
+    phase = jax.random.uniform(jax.random.key(1), (20, 1, 4), minval=-3.0, maxval=3.0)
+    seen = jnp.sin(2.0 * time + phase)
+    found = regress_forces(guess, jax.tree.map(eqx.is_inexact_array, guess), seen, jnp.zeros((20, 0)), DT)
+    x = jnp.array([0.3, -0.2, 0.5, 0.1])
+    np.testing.assert_allclose(found.acceleration(x, jnp.zeros(4), jnp.zeros(0)), -4.0 * x, atol=0.1)

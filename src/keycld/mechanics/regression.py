@@ -113,8 +113,8 @@ def _force_columns(law: ConstrainedLagrangian, free: PyTree, x: Array, v: Array,
     )
 
 
-def _no_forces(law: Any) -> list[Any]:
-    return jax.tree.leaves((law.mass, law.constraint_function))
+def _no_forces(law: Any) -> tuple[Any, Any]:
+    return law.mass, law.constraint_function
 
 
 @eqx.filter_jit

@@ -5,6 +5,7 @@ from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import PyTree
@@ -44,7 +45,7 @@ class Devices:
         def copied(leaf: Any) -> Any:
             if not eqx.is_array(leaf) or leaf.sharding == whole:
                 return leaf
-            return jax.device_put(leaf, whole)
+            return _on_all(leaf, whole)
 
         return jax.tree.map(copied, tree)
 
@@ -81,6 +82,16 @@ class Devices:
             return tree
         layout = NamedSharding(self.mesh, how)
         return jax.tree.map(lambda leaf: jax.lax.with_sharding_constraint(leaf, layout), tree)
+
+
+def _on_all(leaf: Any, whole: NamedSharding) -> Any:
+    """Return an array on all devices; those of other processes get their copies there, of the same values."""
+    if whole.is_fully_addressable:
+        return jax.device_put(leaf, whole)
+    if jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key):
+        return jax.random.wrap_key_data(_on_all(jax.random.key_data(leaf), whole))
+    values = np.asarray(leaf)
+    return jax.make_array_from_callback(values.shape, whole, lambda index: values[index])
 
 
 def use_devices(count: int) -> Devices:
