@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+import signal
 import subprocess
 import threading
 from collections.abc import Iterator
@@ -124,7 +125,9 @@ class Process:
             lines = self.said.strip().splitlines()
             # The encoder's last line may only say that it stops; the reason is in one above.
             reasons = [line for line in lines if "No space left" in line or "File too large" in line]
-            raise FfmpegError((reasons or lines or [f"code {code}"])[-1].strip())
+            # The kernel ends who writes more than this account may.
+            last = "File too large" if code == -signal.SIGXFSZ else f"code {code}"
+            raise FfmpegError((reasons or lines or [last])[-1].strip())
 
     def end(self) -> None:
         """End it at once, if it still runs."""

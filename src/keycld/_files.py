@@ -187,7 +187,7 @@ def writing_error(path: Path, error: OSError) -> KeycldError:
     # Libraries give the reason in the text only.
     if error.errno in (errno.ENOSPC, errno.EDQUOT) or re.search("No space left|quota exceeded", str(error)):
         return KeycldError(f"the disk is full while writing {path}: free some space and run it again.")
-    if error.errno == errno.EFBIG:
+    if error.errno == errno.EFBIG or "File too large" in str(error):
         return KeycldError(f"{path} is larger than this account may write (ulimit -f): raise the limit.")
     reason = error.strerror or str(error)
     return KeycldError(f"cannot write {path} ({reason}): choose a folder that you may write to.")

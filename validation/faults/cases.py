@@ -24,6 +24,8 @@ _REPORT = ("report", "{work}/run")
 _PREDICT = ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/out.h5")
 _RENDER = ("predict", "{work}/run", "--data", "{work}/states/test.h5", "--out", "{work}/out.h5")
 _CONTROL = ("control", "{work}/run", "--goal", "{work}/goal.png", "--seconds", "0.1")
+_MJCF = ("export", "{work}/run", "--to", "mjcf", "--out", "{work}/out.xml")
+_TRACKS = ("export", "{work}/run", "--to", "csv", "--data", "{work}/data", "--split", "test", "--out", "{work}/out.csv")
 _IDENTIFY = ("identify", "{work}/log.csv", "--mechanism", "pendulum", "--out", "{work}/identified")
 _CHECK = ("data", "check", "{work}/data")
 _SHOW = ("data", "show", "{work}/data", "--out", "{work}/out.gif", "--scale", "1")
@@ -89,7 +91,9 @@ TARGETS = (
     Target("results/keycld/fast/pendulum-keycld-1.failed.json", 6, (_STATUS, _TABLE)),
     Target("goal.png", 5, (_CONTROL,)),
     Target("log.csv", 4, (_IDENTIFY,)),
-    Target("run/evaluation/physics.json", 4, (_REPORT,), (_METRICS, *_RESULTS)),
+    Target("run/evaluation/physics.json", 4, (_REPORT, _MJCF), (_METRICS, *_RESULTS)),
+    Target("run/checkpoints/C/weights.safetensors", 2, (_MJCF, _TRACKS)),
+    Target("data/test.h5", 2, (_TRACKS,)),
 )  # fmt: skip
 ROUND = [(target, turn) for target in TARGETS for turn in range(target.share)]
 

@@ -28,7 +28,8 @@ def together(base: Path, workers: list[Worker], names: tuple[str, str], limit: f
         workers[k] = workers[k] if workers[k].alive else Worker(base)
     with ThreadPoolExecutor(2) as threads:
         ends = list(threads.map(lambda worker, each: worker.run(each, outer, limit), workers, words))
-    left = [str(path) for path in outer.rglob(".*partial")]
+    # `.partial` itself is unfinished work on data, which the next call continues.
+    left = [str(path) for path in outer.rglob(".*partial") if path.name != ".partial"]
     again = []
     for each, end in zip(words, ends, strict=True):
         if end["exit"] == 0:
