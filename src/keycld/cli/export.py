@@ -27,7 +27,7 @@ def export(
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         to: mjcf: a MuJoCo model with the learned lengths, masses, gravity, springs and friction. mujoco-sysid: that
             model, and the tracks as time series of mujoco.sysid. csv: a table with a row a frame. lerobot: a LeRobot
-            data set (v3.0; needs pyarrow).
+            data set, v3.0 (extra lerobot).
         data: Data set whose recordings are observed; by default the one of the training. mjcf needs none.
         split: Which of its files.
         out: File (mjcf, csv) or folder; by default RUN/export.xml, .csv, or RUN/export-mujoco-sysid, -lerobot.

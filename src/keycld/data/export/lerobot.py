@@ -126,7 +126,7 @@ def _tasks(arrow: Any, task: str) -> Any:
 
 
 def _write(arrow: Any, path: Path, table: Any) -> None:
-    import pyarrow.parquet as parquet  # pyright: ignore[reportMissingImports]
+    import pyarrow.parquet as parquet
 
     make_folder(path.parent)
     with replacing(path) as temporary:
@@ -135,9 +135,7 @@ def _write(arrow: Any, path: Path, table: Any) -> None:
 
 def _pyarrow() -> Any:
     try:
-        import pyarrow  # pyright: ignore[reportMissingImports]
+        import pyarrow
     except ImportError:
-        raise KeycldError(
-            "a LeRobot data set needs pyarrow, which writes Parquet files: pip install pyarrow."
-        ) from None
+        raise KeycldError("a LeRobot data set needs pyarrow: pip install 'keycld[lerobot]'.") from None
     return pyarrow
