@@ -75,7 +75,7 @@ def test_prediction_of_a_video_from_any_moment(place, capsys):
     capsys.readouterr()
     for wrong, sentence in (
         (["--from", "soon"], "--from is the number of a frame, or a time such as 12.5s, not 'soon'"),
-        (["--from", "3s", "--given", "10"], "have frames 0 to 65"),
+        (["--from", "3s", "--given", "10"], "is frame 75, but in"),
     ):
         assert main([*arguments, *wrong]) == 2
         assert sentence in capsys.readouterr().err

@@ -43,6 +43,10 @@ def predict(
             size = int(config.scene["height"])
             file = clip_file(data, Path(folder) / f"{data.stem}.h5", open_data(config.data).attributes, size)
         number = _frame(first, lambda: read(file, images=False, rows=slice(0, 1)).dt)
+        if file is not data:
+            last = read(file, images=False).frames - (given or model.context)
+            if not 0 <= number <= last:
+                raise KeycldError(f"--from {first} is frame {number}, but in {data} 0 to {last} can be given.")
         predict_file(model, file, out, given=given, first=number, progress=Counted("predict"))
     print(f"predictions: {out}")
 

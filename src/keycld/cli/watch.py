@@ -173,7 +173,7 @@ def _measure(
     import jax.numpy as jnp
 
     from keycld.evaluation import measure_physics, training_tracks
-    from keycld.mechanics import MechanicalDynamics
+    from keycld.mechanics import MechanicalDynamics, terms_of
     from keycld.models.keycld.identify import Tracks, evidence
     from keycld.models.keycld.model import KeyCLD
     from keycld.models.keycld.recipes.clip import ClipConfig
@@ -193,7 +193,8 @@ def _measure(
         dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
     )
     said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton")
-    return {**measured.physics, "prediction": {name: motion[name] for name in said}}
+    forces = sorted(terms_of(model.law))
+    return {**measured.physics, "prediction": {name: motion[name] for name in said}, "forces": forces}
 
 
 def _table(physics: "Physics") -> str:

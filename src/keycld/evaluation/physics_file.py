@@ -52,6 +52,7 @@ class Physics(TypedDict):
         rejected: forces that were tried and dropped, by kind.
         prediction: scores of a prediction that was not part of the fit, {} without one.
         given: what the user has measured, by the name of the constant.
+        forces: kinds of forces that act in addition to gravity.
     """
 
     mechanism: str | None
@@ -60,6 +61,7 @@ class Physics(TypedDict):
     rejected: dict[str, Rejected]
     prediction: dict[str, Any]
     given: NotRequired[dict[str, float]]
+    forces: NotRequired[list[str]]
 
 
 def save_physics(folder: str | Path, physics: Physics) -> Path:

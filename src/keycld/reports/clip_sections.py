@@ -14,7 +14,7 @@ def head(run: Run) -> str:
     result = run.motion
     assert result is not None
     scores = result.scores
-    name = html.text(str(run.config.get("system", "clip")).capitalize())
+    name = html.text(run.folder.resolve().name.capitalize())
     facts = {"frames/s": f"{1 / scores['dt']:.4g}", "seed": run.config.get("seed", "–")}
     if run.physics is not None and run.physics["mechanism"]:
         facts = {"mechanism": run.physics["mechanism"], **facts}
@@ -40,19 +40,26 @@ def constants(run: Run) -> str:
         return html.missing("constants", "Constants", "they have not been measured")
     given = run.physics.get("given", {})
     rows = [_constant(name, each, given.get(name)) for name, each in run.physics["constants"].items()]
-    note = (
+    about = (
         f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
         "the side of the cropped picture. ± is one standard error."
     )
+    forces = ", ".join(["gravity", *run.physics.get("forces", [])])
+    notes = "".join(
+        html.paragraph(f"<code>{html.text(name)}</code>: {html.text(each['note'])}.", "note")
+        for name, each in run.physics["constants"].items()
+        if "note" in each
+    )
+    table = html.table(["constant", "value", "given", "unit"], rows, "scores")
     return html.section(
         "constants",
         "Constants",
-        html.paragraph(note) + html.table(["constant", "value", "given", "unit", "note"], rows, "scores"),
+        html.paragraph(about) + table + html.paragraph(f"Forces that act: {html.text(forces)}.") + notes,
     )
 
 
 def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:
-    rest = "" if given is None else f"{given:.4g}", html.text(each["unit"]), html.text(each.get("note", ""))
+    rest = "" if given is None else f"{given:.4g}", html.text(each["unit"])
     if each["value"] is None:
         return f"<code>{html.text(name)}</code>", "not determined", *rest
     value = f"{each['value']:.4g}"
@@ -103,7 +110,7 @@ def prediction(run: Run) -> str:
     ]
     skeleton = html.table(["constraint", "residual, rms", "largest"], residuals, "scores")
     caption = "How far observed distances are from their mean, in all frames of the clip, as a share of the length."
-    parts = html.grid([html.figure(chart), html.figure(table)]) + html.figure(skeleton, caption)
+    parts = html.figure(chart) + html.figure(table) + html.figure(skeleton, caption)
     return html.section("prediction", "Prediction", html.paragraph(note) + parts)
 
 
