@@ -166,6 +166,7 @@ def pictures(folder: Path) -> None:
 def rig(folder: Path) -> None:
     """Make the log of a pendulum with a motor, and physical constants of the run as `identify` stores them."""
     from keycld.evaluation import save_physics
+    from keycld.evaluation.physics_file import Physics
 
     dt, angle, rate, lines = 0.02, 0.5, 0.0, ["time,position,torque"]
     for k in range(200):
@@ -174,12 +175,12 @@ def rig(folder: Path) -> None:
         rate += dt * (-9.0 * np.sin(angle) - 0.1 * rate + 4.0 * torque)
         angle += dt * rate
     (folder / "log.csv").write_text("\n".join(lines) + "\n")
-    constant = {"value": 1.5, "sigma": 0.1, "unit": "1/s", "identifiable": True, "note": "as the test says"}
+    known = {"value": 1.5, "sigma": 0.1, "unit": "1/s", "identifiable": True, "note": "as the test says"}
     unknown = {"value": None, "sigma": None, "unit": "s", "identifiable": False}
-    save_physics(folder / "run", {
-        "mechanism": "pendulum", "fps": 50.0, "constants": {"friction of tip": constant, "period": unknown},
-        "rejected": {"springs": {"worth": 0.01, "needed": 0.05}}, "prediction": {},
-    })  # fmt: skip
+    constants: Any = {"friction of tip": known, "period": unknown}
+    rejected: Any = {"springs": {"worth": 0.01, "needed": 0.05}}
+    found = Physics(mechanism="pendulum", fps=50.0, constants=constants, rejected=rejected, prediction={})
+    save_physics(folder / "run", found)
 
 
 def bench(folder: Path, repository: Path) -> None:
