@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 # Most of a test's time is compilation, of programs that run once: half of it with fewer passes of LLVM and without
-# MLIR's fusions, a seventh less in one piece, because all cores are busy, and half again at level 0. jaxlib 0.10 to 0.12
-# know these flags; one that does not dies.
+# MLIR's fusions, a seventh less in one piece, because all cores are busy, and half again at level 0. jaxlib 0.10 to
+# 0.12 know these flags; one that does not dies.
 QUICK = (
     "--xla_backend_optimization_level=0 --xla_llvm_disable_expensive_passes=true "
     "--xla_cpu_use_fusion_emitters=false --xla_cpu_parallel_codegen_split_count=1"
