@@ -34,6 +34,8 @@ _LAST_RESORT = "perceptron"
 _FEW = 50
 # Pixels of error with which a law explains the recordings well.
 _GOOD = 0.3
+# A motion whose error is so many times the median has been lost: it began in a wrong state.
+_LOST = 5.0
 # Compiled once for each structure of the law.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -178,12 +180,17 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
 def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> Fitted:
     """Fit the parameters of given dynamics to keypoints.
 
+    Where some motions were lost, because the first frames show their velocities too badly for the whole of a recording,
+    growing parts are fitted as in `identify`: a few of them are enough to spoil the parameters of all.
+
     Args:
         dynamics: near the solution.
         tracks: of all recordings.
         tried: drop the terms of V and R that are not worth enough, as in `identify`; None: keep all.
     """
     fitted = _fitted(dynamics, tracks)
+    if jnp.max(fitted.errors) > _LOST * jnp.median(fitted.errors):
+        fitted = min(fitted, _climb(dynamics, tracks), key=lambda each: float(each.cost))
     left = fitted.dynamics if tried is None else _selected(fitted, tracks.dt, tried)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
