@@ -11,6 +11,7 @@ import pytest
 
 from keycld import KeycldError
 from keycld.models import config_for, models
+from keycld.models.registry import register_model
 
 
 def test_settings_are_changed_by_name_and_checked():
@@ -29,6 +30,11 @@ def test_settings_are_changed_by_name_and_checked():
     ):
         with pytest.raises(KeycldError, match=words):
             config_for("keycld", "fast", **settings)
+
+
+def test_a_name_belongs_to_one_family():
+    with pytest.raises(KeycldError, match="'keycld' of mine is taken by keycld: choose another"):
+        register_model("keycld", family="mine", title="another one")
 
 
 def test_unknown_models_and_presets_are_refused_with_the_nearest_name():

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
 from keycld._entry_points import load_entry_points
-from keycld._errors import unknown
+from keycld._errors import KeycldError, unknown
 from keycld.models.config import ModelConfig
 
 ENTRY_POINTS = "keycld.models"

@@ -181,7 +181,7 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     """Fit the parameters of given dynamics to keypoints.
 
     Where some motions were lost, because the first frames show their velocities too badly for the whole of a recording,
-    growing parts are fitted as in `identify`: a few of them are enough to spoil the parameters of all.
+    growing parts are fitted as in `identify`: lost motions say nothing true of the parameters.
 
     Args:
         dynamics: near the solution.
