@@ -170,6 +170,18 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
         read_arrays(tmp_path / "a.npz", {}, "make it again")
 
 
+def test_damage_is_reported_under_the_name_of_its_file(tmp_path):
+    from keycld.evaluation import load_evaluation, save_evaluation
+    from keycld.evaluation.evaluate import Evaluation
+
+    save_evaluation(tmp_path, "sweeps", Evaluation({}, {"names": np.array(["turn"])}))
+    with pytest.raises(KeycldError, match=r"sweeps\.npz is damaged"):
+        load_evaluation(tmp_path, "sweeps")
+    (tmp_path / "evaluation/sweeps.json").write_text('{"protocol": 1}')
+    with pytest.raises(KeycldError, match=r"sweeps\.json is damaged"):
+        load_evaluation(tmp_path, "sweeps")
+
+
 def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path):
     """Each ended in an error that nothing foresaw."""
     from keycld.benchmarks.results import Result

@@ -1,5 +1,6 @@
 """One whole file of every kind that the campaign damages."""
 
+import contextlib
 import json
 import shutil
 import sys
@@ -25,13 +26,24 @@ AR: dict[str, Any] = {
     "steps": 4,
 }
 """Settings of a recurrent model whose steps are cheap."""
+WATCH = ("width=8", "substeps=1", "vision.steps=20", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
+         "dynamics.worst=1e9", "terms=viscous,")  # fmt: skip
+"""Settings of the preset clip that train in seconds."""
+DEMO = ("width=8", "groups=2", "terms=viscous,", "vision.steps=6", "vision.candidates=1", "vision.batch=4",
+        "vision.worst=1e9", "dynamics.steps=6", "dynamics.batch=4", "dynamics.horizons=5,6", "dynamics.worst=1e9",
+        "joint.steps=6", "joint.horizons=6,8")  # fmt: skip
+"""Settings of the preset fast that train in seconds."""
 
 
 def make_originals(folder: Path, repository: Path) -> None:
     """Make a small data set, a trained and a half trained run with results, videos, a suite, results of a bench."""
+    from keycld._compile_cache import use_compile_cache
+
+    use_compile_cache()
     sys.path.insert(0, str(repository / "tests"))
     data_set(folder)
     trained_run(folder)
+    lawful(folder)
     half_run(folder)
     controlled(folder)
     states(folder)
@@ -39,6 +51,9 @@ def make_originals(folder: Path, repository: Path) -> None:
     rig(folder)
     shutil.copytree(repository / "tests/data/golden/tfrecord/matching_pennies", folder / "matching_pennies")
     bench(folder, repository)
+    packaged(folder)
+    begun_demo(folder)
+    watched(folder)
 
 
 def data_set(folder: Path) -> None:
@@ -102,6 +117,16 @@ def trained_run(folder: Path) -> None:
     save_evaluation(folder / "run", "sweeps", Evaluation({"potential_range": {"turn": 4.0}}, arrays))
 
 
+def lawful(folder: Path) -> None:
+    """Give the run the law of a pendulum, which can be exported: after some steps its friction gives energy."""
+    from safetensors.numpy import load_file, save_file
+
+    path = folder / "run/checkpoints/C/weights.safetensors"
+    law = {"initial_state.constants": [0.36], "dynamics.law.potential.weight": [0.0, 5.0],
+           "dynamics.law.dissipation.terms.viscous.coefficients": [[0.1]]}  # fmt: skip
+    save_file(load_file(path) | {name: np.array(value, np.float32) for name, value in law.items()}, path)
+
+
 def half_run(folder: Path) -> None:
     """Train the recurrent model, and go back to the checkpoint in the middle, with the state of the optimiser."""
     from keycld.models import config_for
@@ -163,6 +188,57 @@ def pictures(folder: Path) -> None:
         save_movie(folder / name, movie, fps=25, scale=1)
 
 
+def packaged(folder: Path) -> None:
+    """Unpack the package's pendulum: the small models of the others control nothing."""
+    from keycld.control.swing_up import upright_picture
+    from keycld.drawing import save_image
+    from keycld.systems import get
+    from keycld.training import run_folder
+    from keycld.training.checkpoints import latest_checkpoint
+
+    with contextlib.chdir(folder):
+        run_folder("pendulum").rename("packaged")
+    (folder / "runs/.pendulum-pretrained.lock").unlink()
+    (folder / "runs").rmdir()
+    newest = latest_checkpoint(folder / "packaged")
+    assert newest is not None
+    newest.rename(newest.with_name("C"))
+    (folder / "packaged/checkpoints/latest").write_text("C")
+    save_image(folder / "upright.png", upright_picture(get("pendulum")))
+
+
+def begun_demo(folder: Path) -> None:
+    """Make data in MuJoCo, and the run of a demo up to the middle of its training."""
+    from keycld.cli.settings import parse_setting
+    from keycld.data import make_data
+    from keycld.models import config_for
+    from keycld.training import train
+
+    make_data("pendulum", folder / "mujoco", runs={"train": 4, "validation": 2, "test": 2}, workers=1)
+    run, settings = folder / "begun", config_for("keycld", "fast", **dict(parse_setting(text) for text in DEMO))
+    train(folder / "mujoco", run, settings, log_every=2, checkpoint_seconds=0.0, keep=99)
+    stages = sorted((run / "checkpoints").glob("*-*"))
+    for path in stages[len(stages) // 2 :]:
+        shutil.rmtree(path)
+    (run / "checkpoints/latest").write_text(stages[len(stages) // 2 - 1].name)
+    (run / "verdict.json").unlink()
+    _json(run / "config.json", _loaded(run / "config.json") | {"epsilon": _EPSILON})
+
+
+def watched(folder: Path) -> None:
+    """Make a clip of the disc, and what `watch` makes of it."""
+    from keycld.cli.main import main
+    from keycld.drawing import save_movie
+    from scenes import disc_pendulum  # pyright: ignore[reportMissingImports]
+
+    image = disc_pendulum(1, 66, seed=0).image
+    assert image is not None
+    save_movie(folder / "clip.mp4", image[0].repeat(3, axis=1).repeat(3, axis=2), fps=25, scale=1)
+    code = main(["watch", str(folder / "clip.mp4"), "--mechanism", "pendulum", "--size", "16", "--out",
+                 str(folder / "watched"), "--set", *WATCH])  # fmt: skip
+    assert code == 0
+
+
 def rig(folder: Path) -> None:
     """Make the log of a pendulum with a motor, and physical constants of the run as `identify` stores them."""
     from keycld.evaluation import save_physics
@@ -190,10 +266,18 @@ def bench(folder: Path, repository: Path) -> None:
 
     (folder / _RESULT).parent.mkdir(parents=True)
     done, failed = suite_named("keycld").select(systems=("pendulum",), models=("keycld",), seeds=(0, 1))
-    _json(folder / _RESULT, _loaded(repository / _RESULT) | {"config_hash": done.hash()})
+    result = _loaded(repository / _RESULT)
+    _json(folder / _RESULT, result | {"config_hash": done.hash()})
     small = small_experiment()
     small.data.make(Place(folder / "bench", folder / "results").data(small))
-    record_failure(failed, Place(folder / "bench", folder / "results"), "training", "KeycldError", "no")
+    place = Place(folder / "bench", folder / "results")
+    record_failure(failed, place, "training", "KeycldError", "no")
+    [prior] = suite_named("priors").select(systems=("toy/pendulum",), models=("ar",), seeds=(0,))
+    scores = {**result["scores"]["test@50"], "table_units": {"train": 1.0, "extrapolation": 2.0}}
+    named = {each.name: scores for each in prior.protocols}
+    curves = dict.fromkeys(named, result["curves"]["test@50"])
+    place.result(prior).parent.mkdir(parents=True)
+    _json(place.result(prior), result | {"config_hash": prior.hash(), "scores": named, "curves": curves})
 
 
 def small_experiment() -> "Experiment":

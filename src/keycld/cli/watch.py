@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import shutil
 import sys
 import time
 from collections.abc import Sequence
@@ -160,8 +159,11 @@ def _imported(
             crop_text = " ".join(map(str, made.crop))
             print(f"clip         {made.fps:g} frames/s, crop {crop_text}, frames: {counts}", flush=True)
     except KeycldError:
-        if not there:
-            shutil.rmtree(run, ignore_errors=True)
+        # Data that are there now are another process's, or unfinished ones that the same command continues.
+        if not there and not folder.exists():
+            (run / _REQUEST).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                run.rmdir()
         raise
     return open_data(folder)
 
