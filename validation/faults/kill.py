@@ -13,13 +13,14 @@ import hashlib
 import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from validation.faults.fuzz import REPOSITORY, Worker, prepare
+from validation.faults.fuzz import REPOSITORY, Worker, exit_code, prepare
 from validation.faults.originals import DEMO, WATCH
 
 HOOK = Path(__file__).parent / "hook"
@@ -62,7 +63,6 @@ VERBS: dict[str, tuple[str, ...]] = {
     "bench figures": ("bench", "figures", *_BENCH),
     "bench report": ("bench", "report", *_BENCH),
 }  # fmt: skip
-_PROGRAM = "import sys; from validation.faults.fuzz import exit_code; sys.exit(exit_code(sys.argv[1:]))"
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -104,11 +104,7 @@ def kills(base: Path, name: str, limit: float, every: int = 1) -> dict[str, Any]
     before = contents(work)
     shutil.rmtree(copies, ignore_errors=True)
     copies.mkdir()
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HOOK), str(REPOSITORY), *sys.path]),
-                                "FAULTS_WORK": str(work), "FAULTS_COPIES": str(copies)}  # fmt: skip
-    subprocess.run(
-        [sys.executable, "-c", _PROGRAM, *words], cwd=outer, env=environment, check=True, capture_output=True
-    )
+    _recorded(words, outer, copies)
     expected, moments = contents(work), sorted(copies.iterdir())
     worker, seen = Worker(base), set()
     fresh(base)
@@ -144,6 +140,24 @@ def kills(base: Path, name: str, limit: float, every: int = 1) -> dict[str, Any]
     if worker.alive:
         worker.end()
     return found
+
+
+def _recorded(words: list[str], outer: Path, copies: Path) -> None:
+    """Run a verb in a forked process that copies the folder, and so does each Python that it starts."""
+    child = os.fork()
+    if child == 0:
+        paths = [str(HOOK), str(REPOSITORY), *sys.path]
+        os.environ |= {"PYTHONPATH": os.pathsep.join(paths), "FAULTS_WORK": str(outer / "work"),
+                       "FAULTS_COPIES": str(copies)}  # fmt: skip
+        runpy.run_path(str(HOOK / "sitecustomize.py"))
+        os.chdir(outer)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for place in range(3):
+            os.dup2(nothing, place)
+        os._exit(exit_code(words))
+    _, status = os.waitpid(child, 0)
+    if status:
+        raise SystemExit(f"{' '.join(words)} ends with {os.waitstatus_to_exitcode(status)} on whole files.")
 
 
 def _half(left: dict[str, str], *whole: dict[str, str]) -> list[str]:
