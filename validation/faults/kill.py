@@ -146,8 +146,9 @@ def _recorded(words: list[str], outer: Path, copies: Path) -> None:
     """Run a verb in a forked process that copies the folder, and so does each Python that it starts."""
     child = os.fork()
     if child == 0:
-        paths = [str(HOOK), str(REPOSITORY), *sys.path]
-        os.environ |= {"PYTHONPATH": os.pathsep.join(paths), "FAULTS_WORK": str(outer / "work"),
+        # Processes get the path from the environment, or from their parent's `sys.path`.
+        sys.path[:0] = [str(HOOK), str(REPOSITORY)]
+        os.environ |= {"PYTHONPATH": os.pathsep.join(sys.path), "FAULTS_WORK": str(outer / "work"),
                        "FAULTS_COPIES": str(copies)}  # fmt: skip
         runpy.run_path(str(HOOK / "sitecustomize.py"))
         os.chdir(outer)

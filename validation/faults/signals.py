@@ -3,11 +3,12 @@
 `python -m validation.faults.signals --work FOLDER --tries 20` after `fuzz`, which makes the whole files in FOLDER. A
 process in which everything is imported already is forked for each try, so that the moments, which are random over the
 time that the verb takes, are those of its work; `tests/test_faults.py` interrupts the import. Each try must end with
-code 130 or 143, soon, and without a traceback; one in which the verb was faster is repeated. After the last try the
-same command must do its work with what the try has left.
+code 130 or 143, soon, without a traceback, and without a process that goes on; one in which the verb was faster is
+repeated. After the last try the same command must do its work with what the try has left.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -92,8 +93,21 @@ def attempt(words: list[str], outer: Path, number: signal.Signals, pause: float)
         os.waitpid(child, 0)
     os.close(listening)
     took = time.monotonic() - since
-    wrong = "hang" if code is None else "traceback" if b"Traceback" in said else ""
+    until = time.monotonic() + _SOON
+    while (left := left_behind(outer)) and time.monotonic() < until:
+        time.sleep(0.05)
+    verdicts = {"hang": code is None, "traceback": b"Traceback" in said, "left a process": left}
+    wrong = next((verdict for verdict, holds in verdicts.items() if holds), "")
     return (wrong or (None if late else str(code))), took
+
+
+def left_behind(outer: Path) -> bool:
+    """Tell whether a process still works in a folder."""
+    for place in Path("/proc").glob("[0-9]*/cwd"):
+        with contextlib.suppress(OSError):
+            if place.readlink() == outer:
+                return True
+    return False
 
 
 def usual_seconds(base: Path, words: list[str]) -> float:
