@@ -29,6 +29,8 @@ HOOK = Path(__file__).parent / "hook"
 _TIMED = ("statistics.json", "environment.json", "metrics.jsonl", "README.md", "config.json", "position.json",
           "bench.json", "bench.log", "bench.lock", "table.md", "pendulum-ar-0.json",
           "pendulum-ar-0.failed.json")  # fmt: skip
+# A closed loop runs in real time: a step that misses its period holds the last input.
+_REAL_TIME = "control-upright"
 # What names the newest of several whole things.
 _POINTER = "latest"
 _BENCH = ("keycld", "--root", "{work}/bench", "--results", "{work}/results", "--systems", "pendulum", "--models",
@@ -70,7 +72,7 @@ def contents(folder: Path) -> dict[str, str]:
     found = {}
     for path in sorted(folder.rglob("*")):
         hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if path.is_file() and not hidden and path.name not in _TIMED:
+        if path.is_file() and not hidden and path.name not in _TIMED and not path.name.startswith(_REAL_TIME):
             found[str(path.relative_to(folder))] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 

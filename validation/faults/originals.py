@@ -26,7 +26,7 @@ AR: dict[str, Any] = {
     "steps": 4,
 }
 """Settings of a recurrent model whose steps are cheap."""
-WATCH = ("width=8", "substeps=1", "vision.steps=20", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
+WATCH = ("width=8", "substeps=1", "vision.steps=150", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
          "dynamics.worst=1e9", "terms=viscous,")  # fmt: skip
 """Settings of the preset clip that train in seconds."""
 DEMO = ("width=8", "groups=2", "terms=viscous,", "vision.steps=6", "vision.candidates=1", "vision.batch=4",
@@ -226,14 +226,11 @@ def begun_demo(folder: Path) -> None:
 
 
 def watched(folder: Path) -> None:
-    """Make a clip of the disc, and what `watch` makes of it."""
+    """Make a clip of a swing, and what `watch` makes of it."""
+    from cli.test_watch import swing, video  # pyright: ignore[reportMissingImports]
     from keycld.cli.main import main
-    from keycld.drawing import save_movie
-    from scenes import disc_pendulum  # pyright: ignore[reportMissingImports]
 
-    image = disc_pendulum(1, 66, seed=0).image
-    assert image is not None
-    save_movie(folder / "clip.mp4", image[0].repeat(3, axis=1).repeat(3, axis=2), fps=25, scale=1)
+    video(folder / "clip.mp4", swing())
     code = main(["watch", str(folder / "clip.mp4"), "--mechanism", "pendulum", "--size", "16", "--out",
                  str(folder / "watched"), "--set", *WATCH])  # fmt: skip
     assert code == 0
