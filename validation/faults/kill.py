@@ -98,8 +98,8 @@ def fresh(base: Path) -> Path:
     return outer
 
 
-def kills(base: Path, name: str, limit: float, every: int = 1) -> dict[str, Any]:
-    """Copy the folder at each event of a verb, and compare what a call of it makes of every n-th different copy."""
+def kills(base: Path, name: str, limit: float, most: int) -> dict[str, Any]:
+    """Copy the folder at each event of a verb, and compare what a call of it makes of each state, or of some."""
     outer, copies = fresh(base), base / "copies"
     work = outer / "work"
     words = [word.replace("{work}", str(work)) for word in VERBS[name]]
@@ -108,25 +108,27 @@ def kills(base: Path, name: str, limit: float, every: int = 1) -> dict[str, Any]
     copies.mkdir()
     _recorded(words, outer, copies)
     expected, moments = contents(work), sorted(copies.iterdir())
-    worker, seen = Worker(base), set()
+    states: dict[str, Path] = {}
+    for moment in moments:
+        states.setdefault(everything(moment), moment)
+    chosen = list(states.values())
+    if most < len(chosen):
+        chosen = [chosen[k * (len(chosen) - 1) // (most - 1)] for k in range(most)]
     fresh(base)
+    worker = Worker(base)
     worker.run(words, outer, limit)
     whole = contents(work)
     varies = {path for path in {**whole, **expected} if whole.get(path) != expected.get(path)}
-    found: dict[str, Any] = {"kills": len(moments), "states": 0, "continued": 0, "absent": 0, "lost": 0, "half": 0,
-                             "different_after_resuming": 0, "varies": sorted(varies)}  # fmt: skip
-    for moment in moments:
+    remains = [contents(moment) for moment in states.values()]
+    found: dict[str, Any] = {
+        "kills": len(moments), "states": len(states), "continued": len(chosen),
+        "absent": sum(any(path not in left for path in before) for left in remains), "lost": 0,
+        "half": sum(len(set(_half(left, before, expected)) - varies) for left in remains),
+        "different_after_resuming": 0, "varies": sorted(varies),
+    }  # fmt: skip
+    for moment in chosen:
         shutil.rmtree(work)
         moment.rename(work)
-        left, state = contents(work), everything(work)
-        if state in seen:
-            continue
-        seen.add(state)
-        found["absent"] += any(path not in left for path in before)
-        found["half"] += len(set(_half(left, before, expected)) - varies)
-        if len(seen) % every:
-            continue
-        found["continued"] += 1
         worker = worker if worker.alive else Worker(base)
         again = worker.run(words, outer, limit)
         orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
@@ -138,7 +140,6 @@ def kills(base: Path, name: str, limit: float, every: int = 1) -> dict[str, Any]
         if not done or different or orphans or again["faults"]:
             found["different_after_resuming"] += 1
             print(name, moment.name, again, different, orphans, file=sys.stderr, flush=True)
-    found["states"] = len(seen)
     if worker.alive:
         worker.end()
     return found
@@ -242,7 +243,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--verbs", nargs="*", default=list(VERBS))
-    parser.add_argument("--every", type=int, default=1, help="continue only every n-th copy, where a verb is slow")
+    parser.add_argument("--most", type=int, default=10**6, help="states to continue, at least 2, where a verb is slow")
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--limit", action="store_const", dest="way", const=full)
     way.add_argument("--disk", action="store_const", dest="way", const=disks)
@@ -251,7 +252,7 @@ def main() -> None:
     base = options.work.resolve()
     prepare(base)
     for name in options.verbs:
-        found = options.way(base, name, 120.0, *([options.every] if options.way is kills else []))
+        found = options.way(base, name, 120.0, *([options.most] if options.way is kills else []))
         print(json.dumps({name: found}), flush=True)
 
 
