@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from keycld.benchmarks import Experiment
 
 # Any pose will do as a goal: the model is hardly trained.
@@ -270,11 +272,18 @@ def bench(folder: Path, repository: Path) -> None:
     place = Place(folder / "bench", folder / "results")
     record_failure(failed, place, "training", "KeycldError", "no")
     [prior] = suite_named("priors").select(systems=("toy/pendulum",), models=("ar",), seeds=(0,))
-    scores = {**result["scores"]["test@50"], "table_units": {"train": 1.0, "extrapolation": 2.0}}
-    named = {each.name: scores for each in prior.protocols}
+    named = {each.name: _scored(result["scores"]["test@50"], each.thresholds) for each in prior.protocols}
     curves = dict.fromkeys(named, result["curves"]["test@50"])
     place.result(prior).parent.mkdir(parents=True)
     _json(place.result(prior), result | {"config_hash": prior.hash(), "scores": named, "curves": curves})
+
+
+def _scored(scores: dict, thresholds: "Sequence[float]") -> dict:
+    """Return the scores as those of the suite `priors`, at these thresholds."""
+    names = [f"{each:g}" for each in thresholds]
+    baselines = {name: dict.fromkeys(names, 0.2) for name in scores["baselines"]}
+    vpt = dict.fromkeys(names, next(iter(scores["vpt"].values())))
+    return {**scores, "vpt": vpt, "baselines": baselines, "table_units": {"train": 1.0, "extrapolation": 2.0}}
 
 
 def small_experiment() -> "Experiment":
