@@ -236,6 +236,8 @@ def watched(folder: Path) -> None:
     code = main(["watch", str(folder / "clip.mp4"), "--mechanism", "pendulum", "--size", "16", "--out",
                  str(folder / "watched"), "--set", *WATCH])  # fmt: skip
     assert code == 0
+    # As seen from the folder of a case.
+    _json(folder / "watched/config.json", _loaded(folder / "watched/config.json") | {"data": "work/watched/data"})
 
 
 def rig(folder: Path) -> None:
