@@ -74,17 +74,19 @@ def test_a_bench_run_that_was_killed_at_its_first_file_is_not_moved_aside(tmp_pa
 
 
 def test_a_bench_run_that_was_killed_before_its_verdict_gets_one(tmp_path, monkeypatch):
-    from keycld.benchmarks import Place, child, suite_named
-    from keycld.training.run_folder import write_verdict
+    import keycld.training
+    from keycld.benchmarks import Place, suite_named
+    from keycld.benchmarks.child import train_model
+    from keycld.training.run_files import write_verdict
 
     place, experiment = Place(tmp_path, tmp_path / "results"), suite_named("keycld").select()[0]
     calls = []
-    monkeypatch.setattr(child, "finished", lambda run: True)
-    monkeypatch.setattr(child, "train", lambda *arguments, **options: calls.append(arguments))
-    child.train_model(experiment, place)
+    monkeypatch.setattr(keycld.training, "finished", lambda run: True)
+    monkeypatch.setattr(keycld.training, "train", lambda *arguments, **options: calls.append(arguments))
+    train_model(experiment, place)
     place.run(experiment).mkdir(parents=True)
     write_verdict(place.run(experiment), [], passed=True)
-    child.train_model(experiment, place)
+    train_model(experiment, place)
     assert len(calls) == 1
 
 
@@ -196,8 +198,7 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
 
 
 def test_damage_is_reported_under_the_name_of_its_file(tmp_path):
-    from keycld.evaluation import load_evaluation, save_evaluation
-    from keycld.evaluation.evaluate import Evaluation
+    from keycld.evaluation import Evaluation, load_evaluation, save_evaluation
 
     save_evaluation(tmp_path, "sweeps", Evaluation({}, {"names": np.array(["turn"])}))
     with pytest.raises(KeycldError, match=r"sweeps\.npz is damaged"):
