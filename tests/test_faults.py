@@ -212,7 +212,7 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     """Each ended in an error that nothing foresaw."""
     from keycld.benchmarks.results import Result
     from keycld.evaluation.probe import fit_probe
-    from keycld.evaluation.stored import check_arrays
+    from keycld.evaluation.stored import check_arrays, required
     from keycld.models import config_for
     from keycld.reports.training_figure import terms
     from keycld.systems import get
@@ -236,6 +236,7 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
     with pytest.raises((Unexpected, KeyError)):
         check_arrays({}, {"turn/values": np.zeros(1)})
+    assert "error_no_motion" in required({"skeleton": {}, "baselines": {"no motion": {}}})
     motion = {"skeleton": {}, "n": 1, "frames": 3, "keypoints": ["tip"], "baselines": {}}
     with pytest.raises(Unexpected, match="observed_course"):
         check_arrays(motion, {"shown_index": np.zeros(1, int), "observed_course": np.zeros((3, 1, 2))})
