@@ -57,9 +57,10 @@ def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, wo
     next to those of constant acceleration, fitted alike, which show how much there is to explain.
 
     Measured, in units of the keypoints' own errors: 0.8 to 1.8 for right laws (spring, pendulum, cartpole, acrobot,
-    slider–crank, four-bar linkage), 2.7 to 4.4 for clips of real pendulums; 6 for the acrobot without its inputs, 16 and more for the
-    others with 0.7 of their V, 360 for two bodies without attraction, which are 0.36 pixels from their keypoints.
-    Cartpole and acrobot with 0.7 of their V have 2.5 and 1.9 and pass: their keypoints show no more.
+    slider–crank, four-bar linkage), 2.7 to 4.4 for clips of real pendulums; 6 for the acrobot without its inputs, 16
+    and more for pendulum, slider–crank and four-bar linkage with 0.7 of their V, 360 for two bodies without attraction,
+    which are 0.36 pixels from their keypoints. Cartpole and acrobot with 0.7 of their V have 2.5 and 1.9 and pass:
+    their keypoints show no more.
 
     Args:
         model: after the stage; None is returned for one without a Lagrangian.
