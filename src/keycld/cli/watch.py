@@ -172,7 +172,7 @@ def _measure(
     """Measure the constants on the training keypoints; return them with the scores of the prediction."""
     import jax.numpy as jnp
 
-    from keycld.evaluation import measure_physics, training_tracks
+    from keycld.evaluation import fitted_tracks, measure_physics
     from keycld.mechanics import MechanicalDynamics, terms_of
     from keycld.models.keycld.identify import Tracks, evidence
     from keycld.models.keycld.model import KeyCLD
@@ -183,7 +183,7 @@ def _measure(
     assert isinstance(model, KeyCLD) and isinstance(config, ClipConfig)
     dynamics = model.dynamics
     assert isinstance(dynamics, MechanicalDynamics)
-    x, u = training_tracks(model, data)
+    x, u = fitted_tracks(model, data)
     worth = {}
     if config.terms is None:
         tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,6 +13,7 @@ from jaxtyping import UInt8
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld._files import make_folder
+from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.imports.video import (
     as_trajectories,
@@ -24,6 +25,9 @@ from keycld.data.imports.video import (
     store,
     unreadable,
 )
+
+if TYPE_CHECKING:
+    from keycld.data.dataset import DataSet
 
 _FEWEST, _MOST = 60, 1200
 """Frames of a video; of longer ones every second, third, … frame is kept."""
@@ -118,11 +122,13 @@ def import_clip(
             bounds = round(_TRAIN * len(clip)), len(clip) - round(_TEST * len(clip))
             for name, some in zip(split, np.split(clip, bounds), strict=True):
                 split[name].append(some)
-        parts = {name: _recordings(clips, longest) for name, clips in split.items()}
+        parts = {name: _recordings(clips, longest, last=name == "train") for name, clips in split.items()}
         if len(parts["train"]) == 1 and text.count("[[constraint]]") > 1:
             # A chain's motion is fitted in halves: after a while nearby motions part.
-            parts["train"] = _recordings(split["train"], (len(split["train"][0]) + 1) // 2)
+            parts["train"] = _recordings(split["train"], (len(split["train"][0]) + 1) // 2, last=True)
         attributes = origin(sources, rate) | {"protocol": CLIP, "crop": chosen, "kept_fps": kept}
+        for name in ("train", "validation"):
+            attributes[f"{name}_of_clips"] = [len(clip) // parts[name].shape[1] for clip in split[name]]
         attributes["video_size"] = (first.width, first.height)
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
@@ -132,6 +138,27 @@ def import_clip(
 def is_clip(attributes: Mapping[str, Any]) -> bool:
     """Return whether a data set with these attributes was made of a clip."""
     return attributes.get("protocol") == CLIP
+
+
+def before_test(data: "DataSet") -> Trajectories:
+    """Return the training recordings of a clip, each clip's continued by its validation part.
+
+    About as many recordings as for training, of one length. Of other data it is the training split.
+    """
+    train = data.train()
+    if not is_clip(data.attributes):
+        return train
+    validation = data.validation()
+    assert train.image is not None and validation.image is not None
+
+    def clips(name: str, image: np.ndarray) -> list[np.ndarray]:
+        counts = data.attributes.get(f"{name}_of_clips", [len(image)])
+        return [each.reshape(-1, *each.shape[2:]) for each in np.split(image, np.cumsum(counts)[:-1])]
+
+    pairs = list(zip(clips("train", train.image), clips("validation", validation.image), strict=True))
+    longest = max(math.ceil((len(first) + len(then)) * train.frames / len(first)) for first, then in pairs)
+    image = _recordings([np.concatenate(pair) for pair in pairs], longest, last=True)
+    return as_trajectories(image, dict(train.attributes))
 
 
 def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size: int) -> Path:
@@ -206,11 +233,17 @@ def _refuse_unlike(videos: Sequence[_Video]) -> None:
             )
 
 
-def _recordings(clips: Sequence[np.ndarray], longest: int) -> np.ndarray:
-    """Return frames `[T, …]` of each clip as recordings `[N, T', …]`, as long as `longest` and the shortest allow."""
+def _recordings(clips: Sequence[np.ndarray], longest: int, *, last: bool = False) -> np.ndarray:
+    """Return frames `[T, …]` of each clip as recordings `[N, T', …]`, as long as `longest` and the shortest allow.
+
+    What does not fill a recording is dropped at the end of the clip; with `last` at its beginning.
+    """
     shortest = min(len(clip) for clip in clips)
     length = shortest // math.ceil(shortest / longest)
-    cut = [clip[: len(clip) // length * length].reshape(-1, length, *clip.shape[1:]) for clip in clips]
+    cut = []
+    for clip in clips:
+        kept = len(clip) // length * length
+        cut.append((clip[len(clip) - kept :] if last else clip[:kept]).reshape(-1, length, *clip.shape[1:]))
     return cut[0] if len(cut) == 1 else np.concatenate(cut)
 
 
