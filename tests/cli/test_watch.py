@@ -9,6 +9,8 @@ import pytest
 from keycld.cli.main import main
 from keycld.cli.watch import given, scale_of
 from keycld.drawing import save_movie
+from keycld.mechanics import Candidate, load_constraints
+from keycld.models.keycld import discover as discovery
 
 _TINY = [
     "width=8", "substeps=1", "vision.steps=150", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
@@ -107,6 +109,29 @@ def test_wrong_videos_get_one_sentence_and_leave_nothing(tmp_path, capsys, frame
     told = capsys.readouterr().err.strip().splitlines()
     assert told[-1].startswith("keycld: ") and sentence in told[-1]
     assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
+
+
+def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeypatch):
+    """Its candidates are stored, so that the same command answers at once."""
+    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.2})
+    monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [discovery.Judged(circle, None)])
+    video(tmp_path / "swing.mp4", swing())
+    command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "auto", "--out", str(tmp_path / "run"), "--json"]
+    for _ in range(2):
+        assert main(command) == 0
+        physics = json.loads(capsys.readouterr().out)
+        monkeypatch.setattr(discovery, "discover", None)
+    assert physics["mechanism"] is None and physics["constants"] == {} and "not identifiable" in physics["note"]
+    assert physics["alternatives"] == [
+        {
+            "mechanism": "pendulum",
+            "keypoints": ["ball"],
+            "constraints": {"distance_to_point ball": 0.2},
+            "freedom": 1,
+            "prediction": None,
+            "chosen": False,
+        }
+    ]
 
 
 def _texture():
