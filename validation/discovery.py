@@ -11,11 +11,11 @@ import time
 from pathlib import Path
 
 import numpy as np
+from validation.drawn_clips import FPS, KINDS
 
 from keycld.cli.alternatives import compare
 from keycld.drawing import save_movie
 from keycld.mechanics import load_constraints
-from validation.drawn_clips import FPS, KINDS
 
 
 def looked_at(clip: Path, expected: str) -> dict:
