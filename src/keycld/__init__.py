@@ -3,6 +3,9 @@
 from keycld._compile_cache import use_compile_cache as use_compile_cache
 from keycld._errors import KeycldError as KeycldError
 from keycld._version import __version__ as __version__
+from keycld._xla_flags import avoid_faulty_kernels as _avoid_faulty_kernels
+
+_avoid_faulty_kernels()
 
 
 def load(run):
