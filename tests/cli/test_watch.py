@@ -28,6 +28,15 @@ def swing(frames=66, *, size=(40, 48)):
     return np.round(40 + disc * np.array([200.0, 120.0, 30.0])).astype(np.uint8)
 
 
+def tiny():
+    """A dot of three pixels that runs around the whole picture."""
+    frames = np.full((66, 40, 48, 3), 200, np.uint8)
+    for t, angle in enumerate(2 * np.pi * np.arange(66) / 40):
+        row, column = round(20 - 18 * np.cos(angle)), round(24 + 18 * np.sin(angle))
+        frames[t, row - 1 : row + 2, column - 1 : column + 2] = 0
+    return frames
+
+
 def video(path, frames):
     save_movie(path, frames, fps=25.0, scale=1)
     return path
@@ -95,8 +104,9 @@ def test_prediction_of_a_video_from_any_moment(place, capsys):
         (lambda: np.concatenate([swing(40), 255 - swing(40)]), "has a cut at 50 % of its length"),
         (lambda: np.zeros((2, 2160, 3840, 3), np.uint8), "has 2 frames, but 60 are the least"),
         (None, "cannot be read as a video"),
+        (lambda: tiny(), "too few to be followed: add --size 24"),
     ],
-    ids=["two-frames", "still", "moving-camera", "cut", "4K", "corrupt"],
+    ids=["two-frames", "still", "moving-camera", "cut", "4K", "corrupt", "tiny"],
 )
 def test_wrong_videos_get_one_sentence_and_leave_nothing(tmp_path, capsys, frames, sentence):
     path = tmp_path / "swing.mp4"

@@ -20,12 +20,12 @@ from keycld.mechanics.relations.on_line import OnLine
 HOLDS = 0.04
 # A part says nothing new if another one's angle or place on a line tells its place to within this share of its extent,
 # or so many deviations of its noise.
-_FOLLOWS, _NOISES = 0.06, 3.0
+_FOLLOWS, _NOISES = 0.03, 3.0
 # A circle or a line of its own explains a part better than a link, which has more numbers, up to so many times its
 # error.
 _OWN = 1.5
 # A circle is more than a line only if it is so many times closer to the track.
-_ROUNDER = 2.0
+_ROUNDER = 4.0
 _MOST = 3
 """Parts of a chain."""
 # A link is at most so many times as long as the motion of its end, and a joint at most so far along a link.

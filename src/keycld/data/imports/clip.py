@@ -36,6 +36,8 @@ _LOOKED, _SIDE = 300, 160
 """Frames and pixels of the shorter side in which motion is looked for."""
 _TRAIN, _TEST = 0.6, 1 / 3
 """Shares of the frames: the first ones for training, the last ones for the test."""
+# Pixels that the parts of a mechanism cover at least.
+_TINY = 5.0
 CLIP = "clip"
 """The split plan of a data set that was made of a clip."""
 
@@ -98,8 +100,8 @@ def import_clip(
         longest: the most frames of a recording.
 
     Raises:
-        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut, a bad crop, size or
-            rate; videos of different sizes or rates.
+        KeycldError: no such file, not a video, too short, nothing moves or in too few pixels, the camera moves, a cut,
+            a bad crop, plane, size or rate; videos of different sizes or rates.
     """
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
@@ -124,6 +126,8 @@ def import_clip(
         rate = kept if fps is None else fps / every
         ends = np.cumsum([count for count, _ in decoded])
         images = np.memmap(spool, np.uint8, "r", shape=(int(ends[-1]), size, size, 3))
+        if constraints is not None:
+            _refuse_tiny(images, sources[0])
         split: dict[str, list[np.ndarray]] = {"train": [], "validation": [], "test": []}
         for clip in np.split(images, ends[:-1]):
             bounds = round(_TRAIN * len(clip)), len(clip) - round(_TEST * len(clip))
@@ -312,6 +316,21 @@ def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[float, f
     (top, bottom), (left, right) = (np.percentile(index, [0.5, 99.5]) for index in (rows, columns))
     h, w = moves.shape
     return left / w, top / h, (right + 1) / w, (bottom + 1) / h
+
+
+def _refuse_tiny(images: UInt8[np.ndarray, "T h w 3"], path: Path) -> None:
+    """Refuse pictures in which the parts that move are hardly a pixel large: no network could find them."""
+    some = images[:: max(1, len(images) // _LOOKED)].astype(np.int16)
+    off = np.max(np.abs(some - np.median(some, axis=0).astype(np.int16)[None]), axis=-1)
+    off = np.maximum(off - 12, 0).reshape(len(off), -1)
+    covered = float(np.median(np.sum(off, axis=1) / np.maximum(np.max(off, axis=1), 1)))
+    if covered < _TINY:
+        size = images.shape[1]
+        needed = 8 * math.ceil(size * math.sqrt(2 * _TINY / max(covered, 0.1)) / 8)
+        raise KeycldError(
+            f"what moves in {path} covers {covered:.1f} pixels of pictures of {size} x {size}, too few to be followed: "
+            f"add --size {needed}, or --crop closer around it."
+        )
 
 
 def _square_around(
