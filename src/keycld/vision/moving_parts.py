@@ -79,7 +79,7 @@ def _uncovered(pictures: np.ndarray, background: np.ndarray, least: float) -> np
     from scipy import ndimage
 
     moves = np.max(np.abs(pictures - background[None]), axis=-1) > least
-    somewhere = np.asarray(ndimage.binary_opening(moves.mean(axis=0) > 0.01))
+    somewhere = np.asarray(ndimage.binary_opening(moves.mean(axis=0) > 0.01), bool)
     around = ndimage.binary_dilation(somewhere, iterations=6) & ~somewhere
     if not around.any():
         return background
