@@ -6,24 +6,30 @@ export PYTHONDONTWRITEBYTECODE :=
 
 .PHONY: setup demo test lint bench clean
 
-setup: .venv/ready
+setup: .venv/dev
 
-# Pinned packages in .venv, and the system packages that headless rendering needs.
+# Pinned packages in .venv, and the system packages that headless rendering needs. The lock files are complete, so that
+# pip need not look for what a package depends on.
 .venv/ready: pyproject.toml requirements.lock scripts/system_packages.sh
 	sh scripts/system_packages.sh
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "keycld needs Python 3.11 or newer: make PYTHON=python3.12")'
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --require-hashes --requirement requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes --requirement requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
+# With what tests, checks and the package's optional extras need.
+.venv/dev: .venv/ready requirements-dev.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes --requirement requirements-dev.lock
+	touch $@
+
 # Data, training, evaluation, control and report for the pendulum; about five minutes on two cores.
-demo: setup
+demo: .venv/ready
 	$(BIN)/keycld demo
 
 test: setup
 	sh scripts/system_packages.sh test
-# Files in the order of the folders: by their number of tests the few long ones would come last, on one core.
+# Whole files, in the order of tests/conftest.py: it has the few long ones first.
 	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 lint: setup

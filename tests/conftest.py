@@ -31,6 +31,26 @@ os.environ |= {
 # Tracing makes so many small objects that looking for garbage after every 700 of them costs a twentieth of the time.
 gc.set_threshold(200_000, 20, 20)
 
+# They come first, or one core would have nothing to do while the other ends with one of them.
+LONGEST_FILES = (
+    "test_ray.py",
+    "test_resume.py",
+    "test_watch.py",
+    "test_pipeline.py",
+    "test_devices.py",
+    "test_every_preset.py",
+    "test_identify.py",
+    "test_closed_loop.py",
+    "test_bench_cli.py",
+    "test_walk_through.py",
+)
+
+
+def pytest_collection_modifyitems(items):
+    """The longest files first, the others in the order of the folders."""
+    place = {name: k for k, name in enumerate(LONGEST_FILES)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
+
 
 @pytest.fixture(autouse=True, scope="module")
 def few_programs():

@@ -177,18 +177,23 @@ def test_the_pages_family_in_a_package_of_its_own(site, own_models, tmp_path, mo
     assert scores["mse"] < scores["epsilon"]
 
 
-def test_the_lock_file_pins_every_dependency_with_hashes_and_names_no_index():
-    lock = (ROOT / "requirements.lock").read_text()
-    assert "://" not in lock
-    entries = re.findall(r"^([\w.-]+)==\S+( \\\n +--hash=sha256:[0-9a-f]{64})+$", lock, re.MULTILINE)
-    pinned = {name.lower().replace("_", "-") for name, _ in entries}
+def pins(lock):
+    """Return names and versions of a lock file, each with its hashes, and no index."""
+    text = (ROOT / lock).read_text()
+    assert "://" not in text
+    entries = re.findall(r"^([\w.-]+)==(\S+)( \\\n +--hash=sha256:[0-9a-f]{64})+$", text, re.MULTILINE)
+    return {name.lower().replace("_", "-"): version for name, version, _ in entries}
+
+
+def test_the_lock_files_pin_every_dependency_with_hashes_and_name_no_index():
+    needed, all_ = pins("requirements.lock"), pins("requirements-dev.lock")
+    assert needed.items() <= all_.items()
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())
     extras = project["project"]["optional-dependencies"]
-    wanted = [
-        *project["build-system"]["requires"],
-        *project["project"]["dependencies"],
-        *extras["envs"],
-        *extras["dev"],
-    ]
-    names = {re.match(r"[\w.-]+", each).group().lower().replace("_", "-") for each in wanted}
-    assert names <= pinned, f"not in requirements.lock: {names - pinned}; CONTRIBUTING.md has the command that makes it"
+    package = [*project["build-system"]["requires"], *project["project"]["dependencies"], *extras["envs"]]
+    for lock, pinned, wanted in (
+        ("requirements.lock", needed, package),
+        ("requirements-dev.lock", all_, [*extras["ray"], *extras["symetric"], *extras["lerobot"], *extras["dev"]]),
+    ):
+        names = {re.match(r"[\w.-]+", each).group().lower().replace("_", "-") for each in wanted}
+        assert names <= pinned.keys(), f"not in {lock}: {names - pinned.keys()}; CONTRIBUTING.md has the command for it"

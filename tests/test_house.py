@@ -141,7 +141,18 @@ def test_processes_that_render_import_no_jax():
     assert answer.returncode == 0, answer.stderr
 
 
-@pytest.mark.parametrize("room", ["data", "systems"])
+def test_the_processes_around_an_experiment_import_no_models_and_no_plots():
+    """`keycld bench` waits for, lists and tabulates what the process of an experiment does: half the time to start."""
+    code = (
+        "import sys, keycld.benchmarks as b, keycld.benchmarks.child\n"
+        "b.run_experiments, b.OnRay, b.suite_named('keycld').select(), b.status_table, b.tables\n"
+        "assert not {'equinox', 'matplotlib'} & set(sys.modules)"
+    )
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert answer.returncode == 0, answer.stderr
+
+
+@pytest.mark.parametrize("room", ["data", "systems", "evaluation", "training", "benchmarks"])
 def test_a_page_has_the_names_that_it_promises(room):
     page = importlib.import_module(f"keycld.{room}")
     assert all(getattr(page, name).__name__ == name for name in page.__all__ if not name.isupper())

@@ -22,8 +22,8 @@ from keycld.data import make_data, open_data
 from keycld.evaluation import evaluate, protocol_named, references
 from keycld.models import config_for
 from keycld.systems import get
+from keycld.training.runs import make_scene
 from keycld.training.step import initial_progress, make_step
-from keycld.training.train import make_scene
 
 TINY = {"steps": 20, "batch": 2, "channels": 4, "hidden": 8, "latent": 4}
 FRAMES, TRAJECTORIES = 100, 16

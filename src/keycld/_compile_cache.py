@@ -28,12 +28,15 @@ class CompileCache(NamedTuple):
     Attributes:
         folder: None: nowhere.
         note: why, in words.
-        bytes: the size of its files.
     """
 
     folder: Path | None
     note: str = ""
-    bytes: int = 0
+
+    @property
+    def bytes(self) -> int:
+        """The size of its files; there may be thousands."""
+        return 0 if self.folder is None else sum(status.st_size for status in _entries(self.folder).values())
 
 
 def use_compile_cache() -> CompileCache:
@@ -76,15 +79,11 @@ def compile_cache() -> CompileCache:
     if wanted.lower() in ("off", "0", "no", "false"):
         return CompileCache(None, f"switched off by {SWITCH}")
     if os.environ.get(_FOLDER):
-        return _measured(Path(os.environ[_FOLDER]))
+        return CompileCache(Path(os.environ[_FOLDER]))
     if not hasattr(os, "getuid"):
         return CompileCache(None, "not on this operating system")
     root = Path(wanted) if wanted else _user_folder()
-    return _measured(root / _machine())
-
-
-def _measured(folder: Path) -> CompileCache:
-    return CompileCache(folder, "", sum(status.st_size for status in _entries(folder).values()))
+    return CompileCache(root / _machine())
 
 
 def _entries(folder: Path) -> dict[Path, os.stat_result]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from keycld.evaluation.symetric import symetric
+from keycld.evaluation.latent_regression import symetric
 
 
 @pytest.fixture(scope="module")

@@ -75,6 +75,10 @@ def test_attraction_of_two_bodies():
     expected = 1.6 * apart / jnp.linalg.norm(apart) ** 3
     force = -jax.grad(gravity)(X)
     np.testing.assert_allclose(force, jnp.concatenate([expected, -expected]), rtol=2e-3)
+    # Keypoints beside the centres, each by an amount of its own.
+    aside = jnp.array([0.1, -0.05, -0.2, 0.03])
+    offset = eqx.tree_at(lambda t: t.offset, gravity, (aside[:2] - aside[2:])[None])
+    np.testing.assert_allclose(-jax.grad(offset)(X + aside), force, rtol=1e-5)
 
 
 def test_friction_of_hinges_is_a_torque_against_their_turning():

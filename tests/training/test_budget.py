@@ -40,7 +40,7 @@ def test_the_share_is_measured_once(tmp_path, monkeypatch):
         asked.append(minutes)
         return 0.001
 
-    training = importlib.import_module("keycld.training.train")
+    training = importlib.import_module("keycld.training.runs")
     real = training.fitting_share
     monkeypatch.setattr(training, "fitting_share", fitting)
     config = config_for("ar", "released", **SMALL, steps=4000)

@@ -62,6 +62,6 @@ def test_damaged_weights_are_refused(tmp_path, monkeypatch):
     whole = (shelf / "pendulum" / "weights.safetensors").read_bytes()
     (shelf / "pendulum" / "weights.safetensors").write_bytes(whole[: len(whole) // 2])
     # The dotted name is that of the function `pretrained`.
-    monkeypatch.setattr(sys.modules["keycld.training.pretrained"], "_SHELF", shelf)
+    monkeypatch.setattr(sys.modules["keycld.training.packaged"], "_SHELF", shelf)
     with pytest.raises(KeycldError, match="packaged model 'pendulum' is damaged"):
         keycld.load("pendulum")

@@ -27,7 +27,7 @@ from keycld.training.checkpoints import (
     save_arrays,
     save_checkpoint,
 )
-from keycld.training.run_folder import read_config
+from keycld.training.run_files import read_config
 from scenes import TINY
 
 CONFIG = config_for("keycld", "fast", **TINY)

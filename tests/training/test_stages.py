@@ -9,7 +9,7 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld.data import FrameGroups, RandomFrames, Resident, WholeTrajectories
-from keycld.models.keycld.prepare import judge_trained, judge_vision
+from keycld.models.keycld.judge import judge_trained, judge_vision
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, warmup_cosine
 from keycld.training.step import diagnose, initial_progress, make_step
 from keycld.vision import Observation

@@ -76,7 +76,7 @@ def trained_run(folder: Path) -> None:
     """Train KeyCLD for some steps, evaluate it, and store energies along a sweep."""
     from keycld.data import open_data, read
     from keycld.evaluation import evaluate, protocol_named, save_evaluation
-    from keycld.evaluation.evaluate import Evaluation
+    from keycld.evaluation.outcome import Evaluation
     from keycld.models import config_for
     from keycld.training import train
     from keycld.training.checkpoints import latest_checkpoint
@@ -123,7 +123,7 @@ def controlled(folder: Path) -> None:
     from keycld.data import read
     from keycld.drawing import save_image
     from keycld.evaluation import save_evaluation
-    from keycld.evaluation.evaluate import Evaluation
+    from keycld.evaluation.outcome import Evaluation
 
     image = read(folder / "data/train.h5", rows=slice(0, 1)).image
     assert image is not None

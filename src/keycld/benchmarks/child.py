@@ -21,9 +21,6 @@ from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import condense, read_json, record_failure, write_json
 from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
 from keycld.benchmarks.status import LOCK, LOG, status_of
-from keycld.data import open_data
-from keycld.evaluation import evaluate, evaluate_sweeps, references, save_evaluation, summary
-from keycld.training import finished, load_run, train
 
 _NOTES = "bench.json"
 
@@ -113,6 +110,8 @@ def make_data(experiment: Experiment, place: Place) -> None:
 
 def train_model(experiment: Experiment, place: Place) -> None:
     """Train to the end, from the newest checkpoint if there is one."""
+    from keycld.training import finished, train
+
     run = place.run(experiment)
     if not finished(run):
         train(place.data(experiment), run, experiment.config(), seed=experiment.seed, minutes=experiment.minutes)
@@ -120,6 +119,10 @@ def train_model(experiment: Experiment, place: Place) -> None:
 
 def evaluate_model(experiment: Experiment, place: Place) -> None:
     """Score the trained model under each protocol without a result, and evaluate its energies along the sweeps."""
+    from keycld.data import open_data
+    from keycld.evaluation import evaluate, evaluate_sweeps, references, save_evaluation, summary
+    from keycld.training import load_run
+
     run = place.run(experiment)
     trained = (run / "checkpoints" / "latest").stat().st_mtime
     missing = [

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from keycld.data import make_data
 from keycld.evaluation import Protocol
 from keycld.models import ModelConfig, config_for
 from keycld.systems import get
@@ -47,6 +46,8 @@ class DataRecipe:
 
     def make(self, folder: Path) -> None:
         """Make all data in `folder`; finished data stay as they are, interrupted work is resumed."""
+        from keycld.data import make_data  # what it draws needs JAX
+
         make_data(
             self.system,
             folder,

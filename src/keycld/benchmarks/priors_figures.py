@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from keycld._errors import KeycldError
 from keycld.benchmarks.experiment import Experiment, Place
-from keycld.benchmarks.illustrate import Illustration, save_illustration
+from keycld.benchmarks.illustrations import Illustration, save_illustration
 from keycld.benchmarks.pictures import gallery
 from keycld.benchmarks.suites import model_title
 from keycld.benchmarks.table import data_labels, done_results

@@ -10,7 +10,6 @@ from keycld.benchmarks.published_priors import FORWARD, PRIORS_TITLES
 from keycld.evaluation import Protocol, protocol_named, with_given
 from keycld.models import ModelConfig
 from keycld.models import models as registered
-from keycld.models.listing import is_reversible
 from keycld.systems import AbstractSampledSystem, get, names
 
 MODEL_TITLES = {"keycld": "KeyCLD", "keycld-nc": "KeyCLD-NC", "node2": "NODE2", "fc": "FC"}
@@ -119,12 +118,18 @@ def _fitting(data: DataRecipe, config: ModelConfig, protocols: tuple[Protocol, .
     """Return the protocols that a model and a data set can have, with as many given frames as the model needs."""
     system = get(data.system)
     long = not isinstance(system, AbstractSampledSystem) or "test_long" in system.counts["default"]
-    both_ways = is_reversible(config)
+    both_ways = any(each.backward for each in protocols) and _is_reversible(config)
     return tuple(
         with_given(each, max(each.given, config.context))
         for each in protocols
         if (both_ways or not each.backward) and (long or each.split != "test_long")
     )
+
+
+def _is_reversible(config: ModelConfig) -> bool:
+    from keycld.models.listing import is_reversible  # builds the model, with JAX
+
+    return is_reversible(config)
 
 
 def _priors_data() -> tuple[DataRecipe, ...]:

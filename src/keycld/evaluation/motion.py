@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.data import before_test
-from keycld.evaluation.evaluate import Evaluation
+from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.predicting import Progress, batch_size, observe, predict, refuse_too_few
 from keycld.mechanics import AbstractDisplacement, Constraints, Motion, State
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian

@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING
 from keycld._errors import unknown
 from keycld.data.describe.normalised_error import THRESHOLD
 from keycld.evaluation.protocols import Protocol
-from keycld.models.base import AbstractModel, Reversible
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
+    from keycld.models.base import AbstractModel
 
 _NAME = re.compile(r"(\w+)@(\d+)(-priors)?(?:-given-(\d+))?(?:-from-(\d+))?(?:-of-(\d+))?(-backward)?", re.ASCII)
 _KEYCLD_GIVEN, _PRIORS_GIVEN = 2, 5
@@ -139,12 +139,14 @@ def protocol_named(name: str) -> Protocol:
     )
 
 
-def protocols_for(data: "DataSet", model: AbstractModel) -> tuple[Protocol, ...]:
+def protocols_for(data: "DataSet", model: "AbstractModel") -> tuple[Protocol, ...]:
     """Return the standard protocols that fit a data set and a model.
 
     Recordings shorter than a protocol's window are scored to their end. A model that needs more given frames gets them.
     Backward protocols are for a `Reversible` model only.
     """
+    from keycld.models.base import Reversible
+
     plan = str(data.attributes.get("protocol"))
     table = PRIORS_PROTOCOLS if plan.startswith("priors") or plan == "published" else KEYCLD_PROTOCOLS
     found = {}

@@ -11,7 +11,7 @@ from keycld._errors import KeycldError
 from keycld._files import replacing, sync
 from keycld._lock import alone
 from keycld._records import Unexpected, damaged, read_arrays, read_json
-from keycld.evaluation.evaluate import Evaluation
+from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.stored import check_arrays, checked_scores, layout, required
 
 

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld.evaluation.evaluate import Evaluation
+from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.predicting import observe
 from keycld.models.base import AbstractModel, HasEnergies, HasKeypoints
 

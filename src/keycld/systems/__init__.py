@@ -28,12 +28,12 @@ if TYPE_CHECKING:
     # With JAX, which the processes that render would import for seconds.
     from keycld.systems.discs import soft_discs as soft_discs
     from keycld.systems.initial_values import AbstractInitialValueSystem as AbstractInitialValueSystem
-    from keycld.systems.sampled import AbstractRenderedSystem as AbstractRenderedSystem
+    from keycld.systems.rendered import AbstractRenderedSystem as AbstractRenderedSystem
+    from keycld.systems.rendered import to_bytes as to_bytes
     from keycld.systems.sampled import AbstractSampledSystem as AbstractSampledSystem
     from keycld.systems.sampled import Recording as Recording
     from keycld.systems.sampled import in_single_precision as in_single_precision
     from keycld.systems.sampled import numbers_only as numbers_only
-    from keycld.systems.sampled import to_bytes as to_bytes
 
 __getattr__ = lazily(__name__)
 

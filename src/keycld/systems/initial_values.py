@@ -10,7 +10,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.systems.sampled import AbstractRenderedSystem, Recording, in_lanes
+from keycld.systems.rendered import AbstractRenderedSystem, in_lanes
+from keycld.systems.sampled import Recording
 
 _MOST_SAMPLES = 1000
 

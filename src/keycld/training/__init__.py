@@ -1,19 +1,27 @@
 """Training: the loop, checkpoints, run folder, trackers. It uses configs, scenes and stages, and knows no family."""
 
+from typing import TYPE_CHECKING
+
+from keycld._lazy import lazily
 from keycld._progress import Bar as Bar
 from keycld._progress import Counted as Counted
-from keycld.training.pretrained import load_model as load_model
-from keycld.training.pretrained import pack as pack
-from keycld.training.pretrained import pretrained as pretrained
-from keycld.training.pretrained import run_folder as run_folder
-from keycld.training.run_folder import RunConfig as RunConfig
-from keycld.training.run_folder import environment as environment
-from keycld.training.run_folder import parse_config as parse_config
-from keycld.training.run_folder import read_config as read_config
-from keycld.training.run_folder import read_verdict as read_verdict
-from keycld.training.train import finished as finished
-from keycld.training.train import load_run as load_run
-from keycld.training.train import train as train
+
+if TYPE_CHECKING:
+    # Commands that only read run folders import what they need of this, without models.
+    from keycld.training.packaged import load_model as load_model
+    from keycld.training.packaged import pack as pack
+    from keycld.training.packaged import pretrained as pretrained
+    from keycld.training.packaged import run_folder as run_folder
+    from keycld.training.run_files import RunConfig as RunConfig
+    from keycld.training.run_files import environment as environment
+    from keycld.training.run_files import parse_config as parse_config
+    from keycld.training.run_files import read_config as read_config
+    from keycld.training.run_files import read_verdict as read_verdict
+    from keycld.training.runs import finished as finished
+    from keycld.training.runs import load_run as load_run
+    from keycld.training.runs import train as train
+
+__getattr__ = lazily(__name__)
 
 __all__ = [
     "Bar",

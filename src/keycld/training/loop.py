@@ -20,7 +20,7 @@ from keycld.models.base import AbstractModel
 from keycld.stages import Stage
 from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
 from keycld.training.devices import Devices
-from keycld.training.run_folder import Metrics, write_verdict
+from keycld.training.run_files import Metrics, write_verdict
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
 

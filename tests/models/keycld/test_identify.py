@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from keycld.data import Trajectories, resident
-from keycld.mechanics import Constraints, DistanceToPoint, OnLine, terms_of, with_kinds
+from keycld.mechanics import Constraints, DistanceToPoint, Fitted, Motion, OnLine, terms_of, with_kinds
 from keycld.models import Scene, config_for
-from keycld.models.keycld.identify import Tried
+from keycld.models.keycld import identify
+from keycld.models.keycld.identify import Tracks, Tried
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.vision import AbstractEstimator, Observation
 from scenes import DT, SIZE, disc_pendulum, draw
@@ -99,3 +100,22 @@ def test_an_unknown_pivot_is_found_and_reported(capsys):
     np.testing.assert_allclose(found.law.constraint_function.unknowns["pivot_bob"], 0.0, atol=0.03)
     assert float(jnp.sqrt(found.constants[0])) == pytest.approx(0.6, abs=0.03)
     assert "pivot_bob [" in capsys.readouterr().out
+
+
+def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch):
+    """Their errors are not numbers, and no force can be judged by them."""
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    x = jnp.zeros((3, 5, 2))
+    still = Motion(x[:, 0], x[:, 0])
+    nothing, lost, sound = (
+        Fitted(model.dynamics, still, x, jnp.array([0.1, 0.1, error]), jnp.array(cost), jnp.zeros((1, 1)))
+        for cost, error in ((jnp.inf, jnp.nan), (9.0, 3.0), (1.0, 0.1))
+    )
+    tracks = Tracks(x, jnp.zeros((3, 0)), jnp.array(DT), None)
+    monkeypatch.setattr(identify, "_climb", lambda *_: sound)
+    for first in (nothing, lost, sound):
+        monkeypatch.setattr(identify, "_fitted", lambda *_, first=first: first)
+        assert identify.refit(model.dynamics, tracks) is sound
+    monkeypatch.setattr(identify, "_climb", lambda *_: nothing)
+    monkeypatch.setattr(identify, "_fitted", lambda *_: nothing)
+    assert identify.refit(model.dynamics, tracks, tried=Tried()) is nothing

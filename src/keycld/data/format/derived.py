@@ -3,7 +3,6 @@
 import dataclasses
 from pathlib import Path
 
-import jax
 import numpy as np
 
 from keycld._errors import KeycldError
@@ -59,6 +58,8 @@ def renderer_of(trajectories: Trajectories) -> AbstractRenderedSystem | None:
 
 def _refuse_other_fields(system: AbstractRenderedSystem, trajectories: Trajectories) -> None:
     """Refuse a state or parameters of which the system makes no picture or derivative; only shapes are computed."""
+    import jax  # only here: commands that make or check other data do not wait for it
+
     assert trajectories.state is not None
     if len(trajectories.state) == 0:
         return

@@ -14,10 +14,14 @@ _CLOSE = 0.02
 
 @register_term
 class PairForces(AbstractPotentialTerm):
-    """V = Σ_{i<j} a r + b log r + c / r with r = |xᵢ − xⱼ|: rest lengths of springs, attraction, repulsion.
+    """V = Σ_{i<j} a r + b log r + c / r with r = |xᵢ − xⱼ − o|: rest lengths of springs, attraction, repulsion.
+
+    Forces act between the centres of bodies, and a keypoint that nothing binds may be anywhere on its own: o is what
+    lies between the two centres when the keypoints are in one place.
 
     Attributes:
         strength: (a, b, c) of each pair [pairs, 3].
+        offset: o of each pair [pairs, 2], image-plane units.
         first: indices i of the pairs.
         second: indices j.
     """
@@ -25,8 +29,10 @@ class PairForces(AbstractPotentialTerm):
     kind = "pairs"
     meaning = "forces along the line through two keypoints"
     rank = 5
+    nonlinear = ("offset",)
 
     strength: Float[Array, "pairs 3"]
+    offset: Float[Array, "pairs 2"]
     first: tuple[int, ...] = eqx.field(static=True)
     second: tuple[int, ...] = eqx.field(static=True)
 
@@ -36,11 +42,13 @@ class PairForces(AbstractPotentialTerm):
         first, second = np.triu_indices(constraint.dimension // 2, 1)
         if not first.size:
             return None
-        return cls(jnp.zeros((first.size, 3)), tuple(first.tolist()), tuple(second.tolist()))
+        return cls(
+            jnp.zeros((first.size, 3)), jnp.zeros((first.size, 2)), tuple(first.tolist()), tuple(second.tolist())
+        )
 
     def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
         """Return the sum over all pairs."""
         points = x.reshape(-1, 2)
-        apart = points[jnp.array(self.first)] - points[jnp.array(self.second)]
+        apart = points[jnp.array(self.first)] - points[jnp.array(self.second)] - self.offset
         r = jnp.sqrt(jnp.sum(apart**2, axis=1) + _CLOSE**2)
         return jnp.sum(self.strength * jnp.stack([r, jnp.log(r), 1 / r], axis=1))

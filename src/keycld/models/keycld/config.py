@@ -26,7 +26,10 @@ class KeyCLDConfig(ModelConfig):
         "beginning.sighting": "velocity_prior.observation",
         "beginning.": "velocity_prior.",
     }
-    ADDED: ClassVar[Mapping[str, float]] = {"initial_state.error": 0.003}
+    ADDED: ClassVar[Mapping[str, float]] = {
+        "initial_state.error": 0.003,
+        "dynamics.law.potential.terms.pairs.offset": 0.0,
+    }
     HALF: ClassVar[tuple[str, ...]] = ("estimator.", "renderer.")
 
     constraints: Annotated[Any, tyro.conf.Suppress] = None

@@ -129,9 +129,7 @@ def identify(
     best = _identified(dynamics, (), tracks)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     everything = _with_everything(best, tracks, some, tried.kinds, good=_GOOD * pixel)
-    # A fit of all terms that diverged says nothing about them.
-    sound = bool(np.all(np.isfinite(everything.curvature)))
-    left, worth = _selected(everything, tracks.dt, tried) if sound else (best.dynamics, {})
+    left, worth = _selected(everything, tracks.dt, tried) if _sound(everything) else (best.dynamics, {})
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
         near = _fitted(left, tracks[some], everything.initial)
@@ -180,8 +178,8 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
 def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> Fitted:
     """Fit the parameters of given dynamics to keypoints.
 
-    Where some motions were lost, because the first frames show their velocities too badly for the whole of a recording,
-    growing parts are fitted as in `identify`: lost motions say nothing true of the parameters.
+    Where some motions were lost or diverged, because the first frames show their velocities too badly for the whole of
+    a recording, growing parts are fitted as in `identify`: lost motions say nothing true of the parameters.
 
     Args:
         dynamics: near the solution.
@@ -189,9 +187,12 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
         tried: drop the terms of V and R that are not worth enough, as in `identify`; None: keep all.
     """
     fitted = _fitted(dynamics, tracks)
-    if jnp.max(fitted.errors) > _LOST * jnp.median(fitted.errors):
+    # Errors of a motion that diverged are no numbers.
+    if not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors):
         fitted = min(fitted, _climb(dynamics, tracks), key=lambda each: float(each.cost))
-    left = fitted.dynamics if tried is None else _selected(fitted, tracks.dt, tried)[0]
+    if tried is None or not _sound(fitted):
+        return fitted
+    left = _selected(fitted, tracks.dt, tried)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
     return _fitted(left, tracks, fitted.initial)
@@ -217,7 +218,7 @@ def evidence(
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     alone = _identified(dynamics, (), tracks)
     everything = _with_everything(alone, tracks, some, tried.kinds, good=_GOOD * pixel)
-    return _selected(everything, tracks.dt, tried)[1] if np.all(np.isfinite(everything.curvature)) else {}
+    return _selected(everything, tracks.dt, tried)[1] if _sound(everything) else {}
 
 
 def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
@@ -347,6 +348,11 @@ def _selected(fitted: Fitted, dt: jax.Array, tried: Tried) -> tuple[MechanicalDy
     left = dynamics(flat)
     terms = {kind: term for kind, term in terms_of(_lagrangian(left)).items() if kind in kept}
     return _with_law(left, with_terms(_lagrangian(left), terms)), worth
+
+
+def _sound(fitted: Fitted) -> bool:
+    """Return whether a fit says anything about the terms: no motion of it diverged."""
+    return bool(np.isfinite(fitted.cost) and np.all(np.isfinite(fitted.curvature)))
 
 
 @eqx.filter_jit

@@ -26,15 +26,13 @@ from keycld.mechanics import (
 from keycld.models.base import AbstractModel
 from keycld.models.keycld.config import KeyCLDConfig
 from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
+from keycld.models.keycld.judge import judge_dynamics, judge_trained, judge_vision
 from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
 from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
     identify_dynamics,
-    judge_dynamics,
-    judge_trained,
-    judge_vision,
     measure_statistics,
     measure_velocity_prior,
     name_keypoints,

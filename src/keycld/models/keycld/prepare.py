@@ -1,10 +1,10 @@
-"""Preparations before the first step of a stage, and judgements after the last one.
+"""Preparations before the first step of a stage.
 
 A preparation is a function (model, resident data) → (model, resident data).
 """
 
 import itertools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -15,8 +15,8 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.data import Resident
 from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State, terms_of
-from keycld.models.keycld.identify import Tracks, Tried, explain, identify, refit
-from keycld.models.keycld.losses import squared_error, unevenness
+from keycld.models.keycld.identify import Tracks, Tried, identify, refit
+from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
@@ -26,10 +26,8 @@ _MEASURED = 200
 _TURNED = 1.5
 # A median frame is that of about so many frames.
 _MEDIAN = 300
-# Pixels of error that need no explanation.
-_CLOSE = 0.5
-# About how many recordings a fit observes, and a comparison of names.
-_FITTED, _COMPARED = 150, 8
+# About how many recordings a fit observes, and a comparison.
+FITTED, COMPARED = 150, 8
 # Consecutive frames of a recording that a fit observes, at most. They tell the forces; more frames cost memory and time
 # in proportion, and tell little where nearby motions part. Of few recordings all frames are observed.
 _SPAN, _MOST = 80, 12_000
@@ -86,7 +84,7 @@ def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
         model: during the vision stage.
         data: the training data.
     """
-    x, _ = _observed(model, data, _COMPARED)
+    x, _ = observed_keypoints(model, data, COMPARED)
     count = x.shape[-1] // 2
     if not 1 < count <= _MOST_ORDERED:
         return model, data
@@ -97,87 +95,6 @@ def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
         return model, data
     parts = model.estimator.reordered(orders[best]), model.renderer.reordered(orders[best])
     return eqx.tree_at(lambda m: (m.estimator, m.renderer), model, parts), data
-
-
-def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
-    """Return what has failed in the vision stage, or None: moving parts may be missing from the rendered frames.
-
-    It prints the criterion.
-
-    The criterion is the reconstruction error as a share of the error of the mean frame. Measured: 0.01 to 0.08 after
-    successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
-
-    Args:
-        model: after the stage.
-        data: the training data.
-        terms: the last logged terms of the loss.
-        worst: the largest share that passes.
-    """
-    whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
-    share = terms["reconstruction"] / whole
-    # Pictures with many moving pixels have large errors, so the number in the log says little by itself.
-    print(f"pictures     the reconstruction error is {share:.2f} of the mean picture's error", flush=True)
-    if share < worst:
-        return None
-    return (
-        f"the keypoints have not found their parts: the reconstruction error is {share:.2f} of the mean picture's "
-        f"error, more than {worst:g}. Try --vision.steps 2000, or check that there is a keypoint for each moving part."
-    )
-
-
-def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
-    """Return what has failed in the dynamics stage, or None: the law may not explain how the keypoints move.
-
-    The motions of the law that come nearest to the observed keypoints of other recordings than those it was identified
-    on are compared with those of constant velocity and constant acceleration, fitted alike, for each keypoint. Errors
-    below 0.5 pixels always pass: a slow motion may be nearly of constant acceleration.
-
-    Args:
-        model: after the stage; None is returned for one without a Lagrangian.
-        data: the training data.
-        terms: not used.
-        worst: the largest share of the errors of constant acceleration that passes.
-    """
-    if not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
-        return None
-    x, u = _observed(model, data, _FITTED, first=1)
-    pixel = 2 / max(data.shape[2:4])
-    seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)
-
-    def errors(paths: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.mean((paths.reshape(seen.shape) - seen) ** 2, axis=(0, 1, 3))) / pixel
-
-    law = errors(np.asarray(explain(model.dynamics, Tracks(x, u, data.dt, model.constants)).paths))
-    straight, curved = (errors(_polynomials(seen, degree)) for degree in (1, 2))
-    k = int(np.argmax(law / np.maximum(curved, _CLOSE / worst)))
-    if law[k] < max(worst * curved[k], _CLOSE):
-        return None
-    return (
-        f"no law was found that explains how keypoint {k + 1} moves: fitted motions are {law[k]:.2f} pixels from it, "
-        f"those of constant velocity {straight[k]:.2f}, of constant acceleration {curved[k]:.2f}. Check keypoints and "
-        "constraints, and that all inputs are in the data."
-    )
-
-
-def judge_trained(
-    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float
-) -> str | None:
-    """Return what has failed in the whole training, or None: the criteria of its first two stages, at its end.
-
-    Where the dynamics cannot follow, the stage joint may lower its loss by keypoints that leave their parts or stand
-    still.
-
-    Args:
-        model: after the last stage.
-        data: the training data.
-        terms: not used.
-        reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
-        law: `worst` of `judge_dynamics`.
-    """
-    some = range(0, len(data.u), max(1, len(data.u) // _COMPARED))
-    error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
-    seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
-    return seen or judge_dynamics(model, data, terms, worst=law)
 
 
 def cache_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -208,7 +125,7 @@ def identify_dynamics(
     """
     if not isinstance(model, KeyCLD):
         return model, data
-    x, u = _observed(model, data, _FITTED)
+    x, u = observed_keypoints(model, data, FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
     tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
@@ -219,7 +136,7 @@ def identify_dynamics(
 
 
 def fit_dynamics(
-    model: Any, data: Resident, *, trajectories: int = _FITTED, tried: Tried | None = None
+    model: Any, data: Resident, *, trajectories: int = FITTED, tried: Tried | None = None
 ) -> tuple[Any, Resident]:
     """Fit masses, V, g and R to the keypoints of some recordings, by least squares through the dynamics.
 
@@ -235,7 +152,7 @@ def fit_dynamics(
     """
     if not isinstance(model, KeyCLD):
         return model, data
-    x, u = _observed(model, data, trajectories)
+    x, u = observed_keypoints(model, data, trajectories)
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
     tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
@@ -251,12 +168,12 @@ def fit_dynamics(
 def fit_again(model: Any, data: Resident, *, tried: Tried | None = None) -> tuple[Any, Resident]:
     """Fit as `fit_dynamics` after unknown pivots and directions were located once more, on all keypoints."""
     if isinstance(model, KeyCLD):
-        x, _ = _observed(model, data, _FITTED)
+        x, _ = observed_keypoints(model, data, FITTED)
         model = model.located(x.reshape(-1, x.shape[-1]))
     return fit_dynamics(model, data, tried=tried)
 
 
-def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = _FITTED) -> tuple[Any, Resident]:
+def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = FITTED) -> tuple[Any, Resident]:
     """Measure the velocity prior (`VelocityPrior`) on the observed keypoints of training recordings.
 
     τ is the time after rest whose velocities τ a predict the recordings best. σ_s² / (σ_s² + σ_b²) is the best step
@@ -271,7 +188,7 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = _F
     """
     if model.velocity_prior is None:
         return model, data
-    x, u = _observed(model, data, trajectories, taken_up=False)
+    x, u = observed_keypoints(model, data, trajectories, taken_up=False)
     return eqx.tree_at(lambda m: m.velocity_prior, model, _velocity_prior(model, x, u, data.dt)), data
 
 
@@ -293,7 +210,7 @@ def _report(model: KeyCLD, pixels: float) -> None:
     print(f"dynamics     affine V{acting}; fitted paths are {pixels:.2f} pixels from the keypoints", flush=True)
 
 
-def _observed(
+def observed_keypoints(
     model: Any, data: Resident, trajectories: int, first: int = 0, *, taken_up: bool = True
 ) -> tuple[jax.Array, jax.Array]:
     """Return the keypoints `[n, T, 2K]` that the model observes in about so many recordings, and their inputs.
@@ -328,14 +245,6 @@ def _located(model: KeyCLD, x: jax.Array, tried: Tried | None) -> bool:
     return True
 
 
-def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:
-    """Return the nearest polynomials in time to paths `[N, T, K, 2]`."""
-    flat = paths.transpose(1, 0, 2, 3).reshape(paths.shape[1], -1)
-    powers = np.vander(np.linspace(-1, 1, len(flat)), degree + 1)
-    near = powers @ np.linalg.lstsq(powers, flat, rcond=None)[0]
-    return near.reshape(paths.shape[1], paths.shape[0], *paths.shape[2:]).transpose(1, 0, 2, 3)
-
-
 def _sharing(model: Any, x: jax.Array) -> Any:
     if model.initial_state.shared is None:
         return model
@@ -359,13 +268,6 @@ def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
     return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
-
-
-@eqx.filter_jit
-def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
-    """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
-    frames = image.astype(jnp.float32) / 255.0
-    return squared_error(jax.vmap(lambda frame: model.renderer(model.observe(frame).keypoints))(frames), frames)
 
 
 @eqx.filter_jit

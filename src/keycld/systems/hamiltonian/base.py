@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from keycld.systems.discs import NAME, VERSION, hue_colours, soft_discs
 from keycld.systems.distributions import distinct
 from keycld.systems.initial_values import AbstractInitialValueSystem
-from keycld.systems.sampled import PAPER, PUBLISHED_COUNTS, RELEASED, map_states
+from keycld.systems.rendered import map_states
+from keycld.systems.sampled import PAPER, PUBLISHED_COUNTS, RELEASED
 from keycld.systems.solving import solve
 
 if TYPE_CHECKING:

@@ -13,7 +13,8 @@ from jaxtyping import Array, Float
 from keycld.systems.discs import NAME, VERSION, hue_colours, soft_discs
 from keycld.systems.molecular import simulation
 from keycld.systems.registry import register
-from keycld.systems.sampled import PAPER, AbstractRenderedSystem, Recording
+from keycld.systems.rendered import AbstractRenderedSystem
+from keycld.systems.sampled import PAPER, Recording
 
 _LENGTHS = {"default": simulation.Lengths(1e3, 1e3, 2.5e3), "full": simulation.Lengths(1e4, 1e4, 2.5e4)}
 # Windows that are stored of each simulation: one in 35.7 τ in both sizes, so that they are nearly independent.

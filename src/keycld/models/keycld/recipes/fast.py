@@ -63,8 +63,9 @@ class DynamicsStage:
     """Frames that a clip spans; each value holds for an equal part of the steps."""
     scale: float = 0.1
     """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
-    worst: float = 0.25
-    """Error of fitted motions, as a share of that of constant accelerations, above which the stage has failed."""
+    worst: float = 0.1
+    """Error of fitted motions, as a share of that of constant accelerations, above which the stage has failed, unless
+    the keypoints' own errors explain it."""
 
 
 @dataclasses.dataclass(frozen=True)

@@ -25,7 +25,7 @@ from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays,
 from keycld.training.devices import use_devices
 from keycld.training.loop import STEPS_PER_DISPATCH, train_stages
 from keycld.training.memory import keep_freed_memory
-from keycld.training.run_folder import RunConfig, open_run, read_config, refuse_failed
+from keycld.training.run_files import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.trackers import make_tracker
 
 # Largest number of trajectories in the validation score.

@@ -22,8 +22,8 @@ from keycld.training.checkpoints import (
     save_arrays,
     save_checkpoint,
 )
-from keycld.training.run_folder import RunConfig, open_run, read_config
-from keycld.training.train import blank_model, load_run
+from keycld.training.run_files import RunConfig, open_run, read_config
+from keycld.training.runs import blank_model, load_run
 
 # Data of the package.
 _SHELF = Path(__file__).parent.parent / "weights"

@@ -7,8 +7,8 @@ from pathlib import Path
 from keycld._errors import KeycldError
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.figures import error_figure
-from keycld.benchmarks.paper_figures import PaperFigures, paper_figures
 from keycld.benchmarks.pictures import Gallery, frames_per_second, gallery, movie_of, sheet_of
+from keycld.benchmarks.published_figures import PaperFigures, paper_figures
 from keycld.benchmarks.status import count_states
 from keycld.benchmarks.table import data_labels
 from keycld.drawing import save_figure, save_image, save_movie

@@ -2,19 +2,18 @@
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from keycld._errors import KeycldError
 from keycld.drawing import as_uint8
 from keycld.evaluation.baselines import baseline_predictions
 from keycld.evaluation.drift import constraint_drift, energy_drift
-from keycld.evaluation.image_scores import ERROR_ARRAYS, all_errors, image_scores
+from keycld.evaluation.image_scores import all_errors, image_scores
 from keycld.evaluation.observing import probed_system, score_states
+from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.predicting import Progress, batch_size, free_motion, observe, predict, refuse_too_few
 from keycld.evaluation.protocols import Protocol
 from keycld.evaluation.reading import windows
@@ -25,43 +24,6 @@ if TYPE_CHECKING:
     from keycld.data import DataSet
 
 _SHOWN_FRAMES = 250
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """The outcome of one protocol: `scores` as JSON would hold them, `arrays` for the figures.
-
-    `docs/evaluation.md` lists both.
-    """
-
-    scores: dict[str, Any]
-    arrays: dict[str, np.ndarray]
-
-    @property
-    def errors(self) -> Float[np.ndarray, "N T"]:
-        """Frame errors in the protocol's metric."""
-        return self.arrays[ERROR_ARRAYS[self.scores["metric"]]]
-
-    def baseline_errors(self, name: str) -> Float[np.ndarray, "N T"]:
-        """Return the same of a trivial predictor."""
-        return self.arrays[f"baseline_{ERROR_ARRAYS[self.scores['metric']]}_{name.replace(' ', '_')}"]
-
-    @property
-    def vpt(self) -> dict[str, Any]:
-        """The valid prediction time at the first threshold."""
-        return headline_vpt(self.scores)
-
-    @property
-    def valid(self) -> Bool[np.ndarray, "N T"]:
-        """Whether the prediction has stayed below the first threshold; true of the frames before the scored part."""
-        first, stop = self.scores["part"]
-        frames, time = np.array(self.vpt["frames"])[:, None], np.arange(self.errors.shape[1])[None]
-        return time >= stop - frames if self.scores["direction"] == "backward" else time < first + frames
-
-
-def headline_vpt(scores: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the valid prediction time at the first threshold, of scores or of those of a trivial predictor."""
-    return next(iter(scores["vpt"].values()))
 
 
 def evaluate(

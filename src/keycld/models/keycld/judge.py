@@ -1,0 +1,160 @@
+"""Judgements after the last step of a stage: whether it has found what the next stage builds on."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from keycld.data import Resident
+from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics
+from keycld.models.keycld.identify import Tracks, explain
+from keycld.models.keycld.losses import squared_error
+from keycld.models.keycld.model import KeyCLD
+from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints
+
+# How many of their own errors a law may be away from the keypoints.
+_ERRORS = 3.0
+# Frames of the cubics that show how keypoints scatter: an odd number.
+_WINDOW = 7
+
+
+def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
+    """Return what has failed in the vision stage, or None: moving parts may be missing from the rendered frames.
+
+    It prints the criterion.
+
+    The criterion is the reconstruction error as a share of the error of the mean frame. Measured: 0.01 to 0.08 after
+    successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
+
+    Args:
+        model: after the stage.
+        data: the training data.
+        terms: the last logged terms of the loss.
+        worst: the largest share that passes.
+    """
+    whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
+    share = terms["reconstruction"] / whole
+    # Pictures with many moving pixels have large errors, so the number in the log says little by itself.
+    print(f"pictures     the reconstruction error is {share:.2f} of the mean picture's error", flush=True)
+    if share < worst:
+        return None
+    return (
+        f"the keypoints have not found their parts: the reconstruction error is {share:.2f} of the mean picture's "
+        f"error, more than {worst:g}. Try --vision.steps 2000, or check that there is a keypoint for each moving part."
+    )
+
+
+def judge_dynamics(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
+    """Return what has failed in the dynamics stage, or None: the law may not explain how the keypoints move.
+
+    The motions of the law that come nearest to the observed keypoints of other recordings than those it was identified
+    on are compared, for each keypoint, with what the keypoints themselves are wrong by (`observation_error`): a right
+    law is as far from them. Keypoints may also have errors that it does not know. So errors pass, too, that are small
+    next to those of constant acceleration, fitted alike, which show how much there is to explain.
+
+    Measured, in units of the keypoints' own errors: 0.8 to 1.2 for right laws (spring, pendulum, acrobot, slider–crank,
+    four-bar linkage), 6 for the acrobot without its inputs, 16 and more for the others with 0.7 of their V, 360 for two
+    bodies without attraction, which are 0.36 pixels from their keypoints; 1.9 for the acrobot with 0.7 of its V, which
+    passes.
+
+    Args:
+        model: after the stage; None is returned for one without a Lagrangian.
+        data: the training data.
+        terms: not used.
+        worst: the largest share of the errors of constant acceleration that passes.
+    """
+    if not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
+        return None
+    x, u = observed_keypoints(model, data, FITTED, first=1)
+    pixel = 2 / max(data.shape[2:4])
+    seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)
+
+    def errors(paths: np.ndarray) -> np.ndarray:
+        return np.sqrt(np.mean((paths.reshape(seen.shape) - seen) ** 2, axis=(0, 1, 3))) / pixel
+
+    law = errors(np.asarray(explain(model.dynamics, Tracks(x, u, data.dt, model.constants)).paths))
+    straight, curved = (errors(_polynomials(seen, degree)) for degree in (1, 2))
+    own = observation_error(model.law, np.asarray(x, float)) / pixel
+    most = np.maximum(worst * curved, _ERRORS * own)
+    k = int(np.argmax(law / most))
+    print(f"law          {law[k]:.2f} pixels from keypoint {k + 1}; up to {most[k]:.2f} passes", flush=True)
+    if law[k] < most[k]:
+        return None
+    return (
+        f"no law was found that explains how keypoint {k + 1} moves: fitted motions are {law[k]:.2f} pixels from it, "
+        f"those of constant velocity {straight[k]:.2f}, of constant acceleration {curved[k]:.2f}; its own errors are "
+        f"{own[k]:.2f}. Check keypoints and constraints, and that all inputs are in the data."
+    )
+
+
+def observation_error(law: ConstrainedLagrangian, x: Float[np.ndarray, "N T dim"]) -> Float[np.ndarray, "K"]:
+    """Return an estimate from below of the standard deviation of each observed keypoint's errors.
+
+    It is the larger of two: of the scatter around cubics through seven frames, and of the distance from positions that
+    obey the constraints. The second one knows errors that last, in directions in which the constraints hold a keypoint.
+
+    Args:
+        law: its constraints; their constants are those of each recording's mean.
+        x: observed keypoints, image-plane units.
+    """
+    count = x.shape[-1] // 2
+
+    def deviation(error: np.ndarray, free: Any) -> np.ndarray:
+        return np.sqrt(np.sum(error.reshape(-1, count, 2) ** 2, axis=(0, 2)) / np.maximum(free, 1e-9))
+
+    rest = np.zeros(count)
+    if x.shape[1] >= _WINDOW:
+        powers = np.vander(np.linspace(-1, 1, _WINDOW), 4)
+        middle = np.eye(_WINDOW)[_WINDOW // 2] - (powers @ np.linalg.pinv(powers))[_WINDOW // 2]
+        scatter = np.lib.stride_tricks.sliding_window_view(x, _WINDOW, axis=1) @ middle
+        rest = deviation(scatter, scatter.size / count * np.sum(middle**2))
+    flat = jnp.asarray(x.reshape(-1, x.shape[-1]), jnp.float32)
+    phi = np.asarray(jax.vmap(law.constraint)(flat), float).reshape(*x.shape[:2], -1)
+    if not phi.shape[-1]:
+        return rest
+    jacobian = np.asarray(jax.vmap(law.jacobian)(flat), float)
+    # The nearest positions that obey them, to first order.
+    inverse = np.linalg.pinv(jacobian, rcond=1e-3)
+    off = np.einsum("mdn,mn->md", inverse, (phi - phi.mean(axis=1, keepdims=True)).reshape(len(flat), -1))
+    held = np.einsum("mdn,mnd->md", inverse, jacobian).reshape(-1, count, 2).sum(axis=(0, 2))
+    return np.maximum(rest, deviation(off, held))
+
+
+def judge_trained(
+    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float
+) -> str | None:
+    """Return what has failed in the whole training, or None: the criteria of its first two stages, at its end.
+
+    Where the dynamics cannot follow, the stage joint may lower its loss by keypoints that leave their parts or stand
+    still.
+
+    Args:
+        model: after the last stage.
+        data: the training data.
+        terms: not used.
+        reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
+        law: `worst` of `judge_dynamics`.
+    """
+    some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
+    error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
+    seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
+    return seen or judge_dynamics(model, data, terms, worst=law)
+
+
+def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:
+    """Return the nearest polynomials in time to paths `[N, T, K, 2]`."""
+    flat = paths.transpose(1, 0, 2, 3).reshape(paths.shape[1], -1)
+    powers = np.vander(np.linspace(-1, 1, len(flat)), degree + 1)
+    near = powers @ np.linalg.lstsq(powers, flat, rcond=None)[0]
+    return near.reshape(paths.shape[1], paths.shape[0], *paths.shape[2:]).transpose(1, 0, 2, 3)
+
+
+@eqx.filter_jit
+def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
+    """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
+    frames = image.astype(jnp.float32) / 255.0
+    return squared_error(jax.vmap(lambda frame: model.renderer(model.observe(frame).keypoints))(frames), frames)

@@ -1,0 +1,84 @@
+"""A law is judged by how far its motions are from keypoints, in units of the keypoints' own errors."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from keycld.data import resident
+from keycld.mechanics import Constraints, DistanceToPoint, OnLine
+from keycld.models import Scene, config_for
+from keycld.models.keycld import judge
+from keycld.models.keycld.judge import judge_dynamics, observation_error
+from scenes import DT, SIZE, disc_pendulum
+
+FRAMES, PIXEL = 40, 2 / SIZE
+TIME = DT * np.arange(FRAMES)
+
+
+def observed(x, y, noise):
+    """Tracks of one keypoint `[N, T, 2]` with independent errors."""
+    return np.stack([x, y], axis=-1) + noise * np.random.default_rng(0).standard_normal((*x.shape, 2))
+
+
+def cart(stiffness):
+    """A model of a cart on a rail with x'' = −stiffness x."""
+    config = config_for("keycld", "fast", width=8, terms=("springs",), constraints=Constraints(("c",), (OnLine("c"),)))
+    model = config.build(Scene(SIZE, SIZE, 0, FRAMES, DT, 6), jax.random.key(0))
+    nothing = jax.tree.map(lambda leaf: 0 * leaf if eqx.is_inexact_array(leaf) else leaf, model.law.potential)
+    spring = stiffness * model.law.masses[:, None]
+    potential = eqx.tree_at(lambda v: v.terms["springs"].stiffness, nothing, spring)
+    moving = eqx.tree_at(lambda m: m.dynamics.law.potential, model, potential)
+    return eqx.tree_at(lambda m: m.initial_state.constants, moving, jnp.zeros(1))
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return resident(disc_pendulum(2, FRAMES, seed=0))
+
+
+@pytest.fixture
+def judged(monkeypatch, recordings):
+    """A function (law's k/m, tracks) → what has failed."""
+
+    def judge_tracks(stiffness, x):
+        seen = jnp.asarray(x, jnp.float32), jnp.zeros((len(x), 0))
+        monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: seen)
+        return judge_dynamics(cart(stiffness), recordings, {}, worst=0.1)
+
+    return judge_tracks
+
+
+def swings(size, noise):
+    """Recordings with x'' = −16 x, up to `size` pixels wide."""
+    phase = np.arange(6)[:, None]
+    x = PIXEL * size * (phase + 1) / 6 * np.sin(4 * TIME + phase)
+    return observed(x, 0 * x, PIXEL * noise)
+
+
+def test_a_right_law_passes_and_a_wrong_one_within_half_a_pixel_does_not(judged):
+    small = swings(0.5, 0.003)
+    assert judged(16.0, small) is None
+    assert "no law was found that explains how keypoint 1 moves" in judged(0.0, small)
+    assert "no law was found" in judged(8.0, small)
+
+
+def test_a_right_law_passes_however_much_the_keypoints_err_and_however_little_they_move(judged):
+    assert judged(16.0, swings(5.0, 0.4)) is None
+    assert judged(16.0, swings(0.2, 0.3)) is None
+    time = observed(0.1 * np.arange(6)[:, None] * TIME, np.zeros((6, FRAMES)), 0.2 * PIXEL)
+    assert judged(0.0, time) is None
+
+
+def test_errors_of_keypoints_are_recognised_without_a_law():
+    """Independent ones by their scatter, lasting ones along a pendulum's rod by its length; each to a tenth."""
+    law = cart(1.0).law
+    x = swings(5.0, 0.4)
+    assert observation_error(law, x) == pytest.approx(0.4 * PIXEL, rel=0.1)
+    phi = Constraints(("bob",), (DistanceToPoint("bob", (0.0, 0.0)),))
+    pendulum = eqx.tree_at(lambda law: law.constraint_function, law, phi)
+    angle = np.sin(3 * TIME + np.arange(6)[:, None])
+    radius = 0.6 + 0.02 * np.sqrt(2) * np.sin(2 * TIME + np.arange(6)[:, None])
+    bent = observed(radius * np.sin(angle), -radius * np.cos(angle), 0.0)
+    assert observation_error(pendulum, bent) == pytest.approx(0.02, rel=0.1)
