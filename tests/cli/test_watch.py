@@ -104,7 +104,7 @@ def test_prediction_of_a_video_from_any_moment(place, capsys):
         (lambda: np.concatenate([swing(40), 255 - swing(40)]), "has a cut at 50 % of its length"),
         (lambda: np.zeros((2, 2160, 3840, 3), np.uint8), "has 2 frames, but 60 are the least"),
         (None, "cannot be read as a video"),
-        (lambda: tiny(), "too few to be followed: add --size 24"),
+        (lambda: tiny(), "too few to be followed: add --size 40"),
     ],
     ids=["two-frames", "still", "moving-camera", "cut", "4K", "corrupt", "tiny"],
 )
