@@ -25,6 +25,7 @@ from keycld.evaluation import (
     references,
     valid_prediction_time,
 )
+from keycld.models.base import HasKeypoints
 from keycld.systems import AbstractWatchedMechanism, get
 from keycld.training import environment, load_run, run_folder
 
@@ -43,12 +44,14 @@ def main():
     model, config = load_run(run_folder(options.run))
     data = open_data(options.data or config.data)
     split, system, shared = data.split(options.split), get(config.system), references(data)
-    assert isinstance(system, AbstractWatchedMechanism) and split.state is not None
+    assert isinstance(system, AbstractWatchedMechanism) and isinstance(model, HasKeypoints)
+    assert split.image is not None and split.state is not None and shared.angles is not None
     length = min(options.frames or split.frames, split.frames)
 
     parts = predict(model, split.image[:, : model.context], split.dt, split.input, length)
     predicted, first = [], []
     for _, part in parts:
+        assert part.keypoints is not None
         predicted.append(part.frames)
         first.append(part.keypoints[:, :2])
     predicted, first = np.concatenate(predicted), np.concatenate(first)

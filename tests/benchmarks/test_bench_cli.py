@@ -71,8 +71,9 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
     assert set(result["scores"]) == {"test@50", "validation@50", "test_long@200", "test_long@500"}
 
     before = path.stat().st_mtime_ns
-    again = keycld("bench", "run", "keycld", *ONLY, folder=tmp_path)
-    assert again.returncode == 0 and "1 experiments, 1 done, 0 to do" in again.stdout
+    monkeypatch.chdir(tmp_path)
+    assert main(["bench", "run", "keycld", *ONLY]) == 0
+    assert "1 experiments, 1 done, 0 to do" in capsys.readouterr().out
     assert path.stat().st_mtime_ns == before
 
     monkeypatch.chdir(tmp_path)

@@ -151,3 +151,13 @@ def test_predictions_spread_by_as_much_as_their_error_bars(swing):
         off.append((fan.keypoints.reshape(100, 2) - swing[:100]) / fan.sigma.reshape(100, 2))
     spread = np.sqrt(np.mean(np.square(off)))
     assert spread == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_fit_that_ended_in_another_minimum_says_so(swing):
+    """From half of g the pendulum falls behind by periods, which no small step makes good."""
+    near = fitted(seen(swing))
+    assert near.misfit == pytest.approx(NOISE / np.sqrt(np.mean(np.var(swing, axis=0))), rel=0.2)
+    guess = pendulum(0.4 * GRAVITY, 0.1)
+    still = Motion(swing[None, 0], np.zeros((1, 2)))
+    far = estimate(guess, free(guess), seen(swing)[None], np.zeros((1, 0)), DT, initial=still)
+    assert far.misfit > 0.2

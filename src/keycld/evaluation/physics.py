@@ -25,6 +25,8 @@ from keycld.models.keycld.identify import WORTH, Tracks, follow, free_leaves
 
 # A positive constant with a larger relative error is not determined: its linear error bar means nothing.
 _VAGUE = 0.5
+# Share of the motion that the fitted one may miss; above it, no constant of the law means anything.
+_MISSED = 0.2
 # So many observed poses are compared to find where the mechanism rests.
 _POSES = 200
 _SIGNED = ("pivot", "line_direction", "gravity_direction", "viscous_rate", "damping_ratio")
@@ -108,7 +110,10 @@ def measure_physics(
 
 
 def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Constant]:
-    """Return the physical constants of an estimate with their error bars."""
+    """Return the physical constants of an estimate with their error bars.
+
+    None has a value where the fitted motions are far from the tracks: the fit ended elsewhere, or the law is wrong.
+    """
     poses = found.paths.reshape(-1, found.paths.shape[-1])[:: max(1, found.paths[..., 0].size // _POSES)]
     with jax.enable_x64(True):
         law, values = found.unknowns.law(jnp.asarray(found.eta))
@@ -121,6 +126,9 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
         )
     if pose is None:
         constants["period_1"] = _unknown("s", "the mechanism has no stable rest pose")
+    if found.misfit > _MISSED:
+        note = f"the fitted motions miss {found.misfit:.0%} of the motion, so they are not those of the mechanism"
+        constants = {name: _unknown(each["unit"], note) for name, each in constants.items()}
     constants["mass"] = _unknown("kg", _ABSOLUTE)
     return constants
 

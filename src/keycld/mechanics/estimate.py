@@ -45,6 +45,9 @@ class Estimate(NamedTuple):
         initial: initial states `[N, dim]` each.
         paths: fitted positions `[N, T, dim]`.
         dt: seconds between frames.
+        misfit: root mean square of the errors, as a share of that of the motion around its mean position. Near 1 the
+            fit has ended in a minimum of the cost that is not the lowest, for example with a motion that has fallen
+            back by a period, or the law is another one; the covariance knows of neither.
     """
 
     unknowns: Unknowns
@@ -57,6 +60,7 @@ class Estimate(NamedTuple):
     initial: Motion
     paths: np.ndarray
     dt: float
+    misfit: float
 
 
 class Derived(NamedTuple):
@@ -240,6 +244,7 @@ def _with_covariance(
         initial=near.initial,
         paths=near.x,
         dt=dt,
+        misfit=float(np.sqrt(np.mean((tracks - near.x) ** 2) / np.mean(np.var(tracks, axis=1)))),
     )
 
 
