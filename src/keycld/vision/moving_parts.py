@@ -32,7 +32,7 @@ class Part:
         track: its middle in each frame `[T, 2]`, image-plane units; between frames in which it is seen where it is not.
         seen: whether it is seen whole `[T]`.
         colour: mean colour, 0 to 1.
-        area: median share of the picture.
+        area: median share of what moves, in pixels.
         changes: how far its length varies: deviation of the longer radius of gyration, as a share. Large where the
             track is not that of one rigid part.
     """
@@ -67,11 +67,12 @@ def moving_parts(frames: UInt8[np.ndarray, "T H W 3"]) -> list[Part]:
         return []
     far = np.stack([np.linalg.norm(pictures - colour[None, None, None], axis=-1) for colour in colours])
     nearest = np.argmin(far, axis=0)
+    weight = np.clip(off / np.quantile(off[moves], 0.5), 0, 1)
+    total = float(np.median(np.sum(weight * moves, axis=(1, 2))))
     found = []
     for k, colour in enumerate(colours):
-        found += _spots(moves & (nearest == k), np.clip(off / np.quantile(off[moves], 0.5), 0, 1), colour)
-    total = sum(part.area for part in found)
-    return sorted((part for part in found if part.area >= _SHARE * total), key=lambda part: -part.area)
+        found += _spots(moves & (nearest == k), weight, colour, total)
+    return sorted((part for part in found if part.area >= _SHARE), key=lambda part: -part.area)
 
 
 def _uncovered(pictures: np.ndarray, background: np.ndarray, least: float) -> np.ndarray:
@@ -146,7 +147,7 @@ def _means(points: np.ndarray, centres: np.ndarray) -> tuple[np.ndarray, np.ndar
     return centres, np.array(spreads)
 
 
-def _spots(mask: Bool[np.ndarray, "T H W"], weight: np.ndarray, colour: np.ndarray) -> list[Part]:
+def _spots(mask: Bool[np.ndarray, "T H W"], weight: np.ndarray, colour: np.ndarray, total: float) -> list[Part]:
     """Return the parts of one colour: as many as most frames show."""
     from scipy import ndimage
 
@@ -177,7 +178,7 @@ def _spots(mask: Bool[np.ndarray, "T H W"], weight: np.ndarray, colour: np.ndarr
         middle = float(np.median(long[seen]))
         changes = float(np.median(np.abs(long[seen] - middle))) / 0.67 / max(middle, 0.5)
         hue = (float(colour[0]), float(colour[1]), float(colour[2]))
-        found.append(Part(track, seen, hue, usual / (height * width), changes))
+        found.append(Part(track, seen, hue, usual / max(total, 1.0), changes))
     return found
 
 

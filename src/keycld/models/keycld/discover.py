@@ -25,8 +25,11 @@ RIGID = 0.25
 """A part whose length varies by a larger share is not one rigid part."""
 GIVEN = 10
 """Frames from which the validation part is predicted."""
-PREDICTED = 0.1
-"""A mechanism is identified if this prediction is off by less than this share of the extent of the motion."""
+PREDICTED, PREDICTED_FREE = 0.25, 0.1
+"""A mechanism is identified if this prediction is off by less than this share of the extent of the motion: where each
+keypoint has a constraint that holds, which is evidence too, and where a keypoint is free."""
+EXPLAINED = 0.3
+"""The parts that are followed are at least this share of what moves."""
 # A mechanism with more degrees of freedom must predict so many times better.
 _BETTER = 1.5
 # Below this share of the extent predictions are equally good.
@@ -52,7 +55,7 @@ class Judged:
 def discover(frames: UInt8[np.ndarray, "T H W 3"], fitted: int, dt: float) -> list[Judged]:
     """Return the mechanisms that the frames of training and validation part may show, as `judge_candidates` does.
 
-    None, if no rigid part was found: parts are told apart by their colours (`moving_parts`).
+    None, if most of what moves belongs to no rigid part: parts are told apart by their colours (`moving_parts`).
 
     Args:
         frames: consecutive ones.
@@ -60,7 +63,7 @@ def discover(frames: UInt8[np.ndarray, "T H W 3"], fitted: int, dt: float) -> li
         dt: seconds between frames.
     """
     parts = [part for part in moving_parts(frames) if part.changes < RIGID]
-    if not parts:
+    if sum(part.area for part in parts) < EXPLAINED:
         return []
     tracks, seen = np.stack([part.track for part in parts]), np.stack([part.seen for part in parts])
     return judge_candidates(candidates(tracks, seen, np.array([part.area for part in parts])), fitted, dt)
@@ -71,7 +74,7 @@ def judge_candidates(found: list[Candidate], fitted: int, dt: float) -> list[Jud
 
     The law is gravity and viscous friction, with springs where a keypoint slides or is free. Of the candidates whose
     prediction is nearly as good as the best, the one with the fewest degrees of freedom is chosen; none, if no
-    prediction comes within a tenth of the extent of the motion.
+    prediction comes within a quarter of the extent of the motion, or within a tenth where a keypoint is free.
 
     Args:
         found: `candidates` of the tracks of training and validation part.
@@ -82,7 +85,7 @@ def judge_candidates(found: list[Candidate], fitted: int, dt: float) -> list[Jud
         The chosen one first, then by the error of the prediction, those whose constraints do not hold at the end.
     """
     judged = [Judged(each, _error(each, fitted, dt) if each.holds else None) for each in found]
-    sound = [each for each in judged if each.error is not None and each.error < PREDICTED]
+    sound = [each for each in judged if each.error is not None and each.error < _limit(each.candidate)]
     if sound:
         limit = max(_CLOSE, _BETTER * min(each.error for each in sound if each.error is not None))
         near = [each for each in sound if each.error is not None and each.error <= limit]
@@ -93,6 +96,11 @@ def judge_candidates(found: list[Candidate], fitted: int, dt: float) -> list[Jud
         return not each.chosen, each.error is None, each.error or max(each.candidate.residuals.values(), default=0.0)
 
     return sorted(judged, key=place)
+
+
+def _limit(candidate: Candidate) -> float:
+    held = {name for item in candidate.constraints.items for name in item.keypoints}
+    return PREDICTED if held == set(candidate.constraints.keypoints) else PREDICTED_FREE
 
 
 def _error(candidate: Candidate, fitted: int, dt: float) -> float:
