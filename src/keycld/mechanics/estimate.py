@@ -181,8 +181,10 @@ def _minimum(
             moved = near.moved(moves)
             x = paths(unknowns, jnp.asarray(eta + change), moved, u, jnp.asarray(dt), tracks.shape[1])
             if _cost(_times(whiten, tracks - np.asarray(x))) < _cost(scaled):
-                eta, near = eta + change, sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
-                break
+                there = sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
+                if np.all(np.isfinite(there.slopes)):
+                    eta, near = eta + change, there
+                    break
         else:
             break
     return eta, near, whiten

@@ -17,21 +17,20 @@ HALF = Candidate(
 
 
 @pytest.mark.parametrize(
-    ("errors", "chosen"),
+    ("first", "error", "second", "other", "chosen"),
     [
-        ({PENDULUM: 0.02, FREE: 0.016}, PENDULUM),
-        ({PENDULUM: 0.2, FREE: 0.02}, FREE),
-        ({PENDULUM: 0.2, FREE: 0.18}, PENDULUM),
-        ({PENDULUM: 0.3, FREE: 0.18}, None),
-        ({PENDULUM: 0.3, HALF: 0.2}, None),
+        (PENDULUM, 0.02, FREE, 0.016, PENDULUM),
+        (PENDULUM, 0.2, FREE, 0.02, FREE),
+        (PENDULUM, 0.2, FREE, 0.18, PENDULUM),
+        (PENDULUM, 0.3, FREE, 0.18, None),
+        (PENDULUM, 0.3, HALF, 0.2, None),
     ],
     ids=["as good with less freedom", "much better", "not good enough when free", "none predicts", "half free"],
 )
-def test_the_choice(monkeypatch, errors, chosen):
+def test_the_choice(monkeypatch, first, error, second, other, chosen):
     """A line that does not hold is not predicted, and comes last."""
-    told = {id(candidate): error for candidate, error in errors.items()}
-    monkeypatch.setattr(discover, "_error", lambda candidate, fitted, dt: told[id(candidate)])
-    judged = judge_candidates([*errors, LINE], 40, 1 / 30)
-    assert [each.candidate for each in judged if each.chosen] == ([] if chosen is None else [chosen])
+    monkeypatch.setattr(discover, "_error", lambda candidate, fitted, dt: error if candidate is first else other)
+    judged = judge_candidates([first, second, LINE], 40, 1 / 30)
+    assert [each.candidate is chosen for each in judged if each.chosen] == ([] if chosen is None else [True])
     assert judged[-1].candidate is LINE and judged[-1].error is None
     assert chosen is None or judged[0].candidate is chosen
