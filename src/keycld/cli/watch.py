@@ -186,7 +186,7 @@ def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, option
         yield
     except KeycldError:
         # Data that are there now are another process's, or unfinished ones that the same command continues.
-        if not there and not folder.exists():
+        if not there and not (run / "data").exists():
             (run / _REQUEST).unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 run.rmdir()
