@@ -11,6 +11,8 @@ from keycld.evaluation.image_scores import ERROR_ARRAYS
 
 Number = float | None
 _MOTIONS = ("observed", "predicted")
+# What is stored along a motion, all or nothing.
+_ALONG = ("kinetic", "potential", "course")
 # Of what lies along an axis of a figure.
 _LARGEST = 1e9
 
@@ -203,12 +205,11 @@ def layout(scores: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
         }
     if "skeleton" in scores:
         n, length, keypoints = scores["n"], scores["frames"], len(scores["keypoints"])
-        kinds = ("error", *(f"error_{name.replace(' ', '_')}" for name in scores["baselines"]))
         along = {"kinetic": ("f", f"{length}"), "potential": ("f", f"{length}"), "course": ("f", f"{length} c 2")}
         return {
             "frames": ("u", "F H W 3"),
             "shown_index": ("i", "F"),
-            **{kind: ("f", f"{n} {length}") for kind in kinds},
+            **{kind: ("f", f"{n} {length}") for kind in _motion_errors(scores)},
             **{motion: ("f", f"{length} {keypoints} 2") for motion in _MOTIONS},
             **{f"{motion}_{name}": shape for motion in _MOTIONS for name, shape in along.items()},
         }
@@ -238,13 +239,17 @@ def _error_arrays(scores: Mapping[str, Any]) -> list[str]:
     return [kind, *(f"baseline_{kind}_{name.replace(' ', '_')}" for name in scores["baselines"])]
 
 
+def _motion_errors(scores: Mapping[str, Any]) -> list[str]:
+    return ["error", *(f"error_{name.replace(' ', '_')}" for name in scores["baselines"])]
+
+
 def required(scores: Mapping[str, Any]) -> set[str]:
     """Return the names of the arrays that must be next to these scores."""
     if "law" in scores:
         shaped = {"kinetic", "desired"} if "passivity" in scores else set()
         return {"frames", "goal_frame", "x", "good", "input", "tilts", *shaped}
     if "skeleton" in scores:
-        return {"frames", "shown_index", "error", *_MOTIONS}
+        return {"frames", "shown_index", *_motion_errors(scores), *_MOTIONS}
     if "protocol" not in scores:
         return set()
     also = {"coordinate_error"} if "state" in scores else set()
@@ -268,6 +273,9 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
     elif "skeleton" in scores:
         index = arrays["shown_index"]
         _expect(len(index) > 0 and index.min() >= 0 and index.max() < scores["frames"], "shown_index")
+        for motion in _MOTIONS:
+            along = {f"{motion}_{name}" for name in _ALONG}
+            _expect(along <= arrays.keys() or not along & arrays.keys(), f"{motion}_course")
     elif "law" in scores:
         _expect(len(arrays["frames"]) == arrays["input"].shape[1] + 1 > 1 and arrays["x"].shape[2] % 2 == 0, "frames")
     elif arrays:
