@@ -1,5 +1,6 @@
 """Suites of experiments by name."""
 
+import functools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -126,6 +127,7 @@ def _fitting(data: DataRecipe, config: ModelConfig, protocols: tuple[Protocol, .
     )
 
 
+@functools.cache
 def _is_reversible(config: ModelConfig) -> bool:
     from keycld.models.listing import is_reversible  # builds the model, with JAX
 
