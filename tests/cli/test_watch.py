@@ -9,6 +9,8 @@ import pytest
 from keycld.cli.main import main
 from keycld.cli.watch import given, scale_of
 from keycld.drawing import save_movie
+from keycld.mechanics import Candidate, load_constraints
+from keycld.models.keycld import discover as discovery
 
 _TINY = [
     "width=8", "substeps=1", "vision.steps=150", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
@@ -24,6 +26,15 @@ def swing(frames=66, *, size=(40, 48)):
     far = np.hypot(column[None] - x[:, None, None], row[None] - y[:, None, None])
     disc = np.clip(4.5 - far, 0, 1)[..., None]
     return np.round(40 + disc * np.array([200.0, 120.0, 30.0])).astype(np.uint8)
+
+
+def tiny():
+    """A dot of three pixels that runs around the whole picture."""
+    frames = np.full((66, 40, 48, 3), 200, np.uint8)
+    for t, angle in enumerate(2 * np.pi * np.arange(66) / 40):
+        row, column = round(20 - 18 * np.cos(angle)), round(24 + 18 * np.sin(angle))
+        frames[t, row - 1 : row + 2, column - 1 : column + 2] = 0
+    return frames
 
 
 def video(path, frames):
@@ -93,8 +104,9 @@ def test_prediction_of_a_video_from_any_moment(place, capsys):
         (lambda: np.concatenate([swing(40), 255 - swing(40)]), "has a cut at 50 % of its length"),
         (lambda: np.zeros((2, 2160, 3840, 3), np.uint8), "has 2 frames, but 60 are the least"),
         (None, "cannot be read as a video"),
+        (lambda: tiny(), "too few to be followed: add --size 40"),
     ],
-    ids=["two-frames", "still", "moving-camera", "cut", "4K", "corrupt"],
+    ids=["two-frames", "still", "moving-camera", "cut", "4K", "corrupt", "tiny"],
 )
 def test_wrong_videos_get_one_sentence_and_leave_nothing(tmp_path, capsys, frames, sentence):
     path = tmp_path / "swing.mp4"
@@ -107,6 +119,29 @@ def test_wrong_videos_get_one_sentence_and_leave_nothing(tmp_path, capsys, frame
     told = capsys.readouterr().err.strip().splitlines()
     assert told[-1].startswith("keycld: ") and sentence in told[-1]
     assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
+
+
+def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeypatch):
+    """Its candidates are stored, so that the same command answers at once."""
+    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.2})
+    monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [discovery.Judged(circle, None)])
+    video(tmp_path / "swing.mp4", swing())
+    command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "auto", "--out", str(tmp_path / "run"), "--json"]
+    for _ in range(2):
+        assert main(command) == 0
+        physics = json.loads(capsys.readouterr().out)
+        monkeypatch.setattr(discovery, "discover", None)
+    assert physics["mechanism"] is None and physics["constants"] == {} and "not identifiable" in physics["note"]
+    assert physics["alternatives"] == [
+        {
+            "mechanism": "pendulum",
+            "keypoints": ["ball"],
+            "constraints": {"distance_to_point ball": 0.2},
+            "freedom": 1,
+            "prediction": None,
+            "chosen": False,
+        }
+    ]
 
 
 def _texture():

@@ -23,6 +23,7 @@ from keycld.mechanics import (
     physical_constants,
     rest_pose,
 )
+from keycld.mechanics.forces.coulomb import CoulombFriction
 
 GRAVITY = 9.81
 
@@ -55,6 +56,19 @@ def test_period_of_a_simple_pendulum():
     assert found["damping_ratio_1"] == pytest.approx(0.15 / (2 * rate), rel=1e-6)
     assert found["gravity_direction"] == pytest.approx(-70, abs=1e-4)
     assert found["length_pivot_ball"] == pytest.approx(0.7, rel=1e-6)
+
+
+def test_dry_friction_of_a_pendulum_and_of_two_carts():
+    """c/m of a single part. Of two equal free carts of 2 kg on one rail, joined by a spring: 2c/2m as they part."""
+    friction = SumDissipation({"coulomb": CoulombFriction(jnp.array([0.3]))})
+    swing = law([2.0], (DistanceToPoint("ball"),), ("ball",), [0.0, 2.0 * GRAVITY])
+    swing = eqx.tree_at(lambda each: each.dissipation, swing, friction, is_leaf=lambda leaf: leaf is None)
+    assert measured(swing, 0.7 * on_circle([1.0]))["coulomb_deceleration_1"] == pytest.approx(0.15, rel=1e-6)
+    carts = law([2.0, 2.0], (OnLine("a"), OnLine("b")), ("a", "b"), [0.0] * 4, springs=[[1.0, -1.0], [-1.0, 1.0]])
+    friction = SumDissipation({"coulomb": CoulombFriction(jnp.array([0.3, 0.3]))})
+    carts = eqx.tree_at(lambda each: each.dissipation, carts, friction, is_leaf=lambda leaf: leaf is None)
+    found = measured(carts, jnp.array([0.1, 0.0, 0.4, 0.0]))
+    assert found["coulomb_deceleration_1"] == pytest.approx(0.15, rel=1e-5) and "coulomb_deceleration_2" not in found
 
 
 def test_periods_of_a_double_pendulum():

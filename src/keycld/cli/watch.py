@@ -5,7 +5,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,15 +15,19 @@ import tyro
 from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld._records import read_json
+from keycld.cli.alternatives import AUTO, NOT_IDENTIFIABLE, alternatives_table, compare
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
     from keycld.evaluation import Physics
+    from keycld.evaluation.physics_file import Alternative
     from keycld.mechanics import Scale
     from keycld.models.base import AbstractModel
 
 _REQUEST = "watch.json"
 """In a run folder: which clips and options its data were made of."""
+_DEFAULTS = {"plane_ratio": 1.0}
+"""Options that runs of earlier versions do not name."""
 _LENGTH = re.compile(r"\s*(\w+)\s*[-–]\s*(\w+)\s*=\s*(\d+\.?\d*|\.\d+)\s*(m|cm|mm)\s*")
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
@@ -35,6 +39,11 @@ def watch(
     mechanism: Annotated[str, tyro.conf.arg(aliases=["--constraints"])],
     fps: float | None = None,
     crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
+    plane: Annotated[
+        tuple[float, float, float, float, float, float, float, float] | None,
+        tyro.conf.arg(metavar="X1 Y1 X2 Y2 X3 Y3 X4 Y4"),
+    ] = None,
+    plane_ratio: float = 1.0,
     size: int = 64,
     length: str | None = None,
     gravity: float | None = None,
@@ -51,9 +60,12 @@ def watch(
     Args:
         clips: Videos of one mechanism by a camera at rest, of 60 frames to some minutes.
         mechanism: Its name: pendulum, double-pendulum, cart-pole or spring; or a TOML file with keypoints and
-            constraints.
+            constraints; or auto, which finds it where parts differ in colour.
         fps: Frames a second with which the camera recorded, where the file states another rate, such as slow motion.
         crop: Part of the picture to keep, a square in pixels of the video; by default what moves.
+        plane: Where the camera looks at the plane of the motion from the side: pixels of the corners of a rectangle in
+            that plane, top left, top right, bottom right, bottom left. Its view from the front is learned.
+        plane_ratio: Width of that rectangle divided by its height.
         size: Height and width of the pictures that the model sees, a multiple of 8.
         length: A known length, such as "pivot-ball = 0.31 m", for constants in metres.
         gravity: The strength of gravity in m/s², such as 9.81; sets the scale where no length does, and is compared
@@ -73,17 +85,30 @@ def watch(
     began = time.monotonic()
     if not clips:
         raise KeycldError("name at least one video: keycld watch swing.mp4 --mechanism pendulum.")
-    scale = scale_of(length, gravity, mechanism)
+    scale = None if mechanism == AUTO else scale_of(length, gravity, mechanism)
     settings = config_for("keycld", "clip", **dict(parse_setting(text) for text in set))
     run = out or Path("runs") / f"{clips[0].stem}-watch-{seed}"
     with contextlib.redirect_stdout(sys.stderr if json else sys.stdout):
-        data = _imported(clips, run, mechanism, fps, crop, size)
-        model = train_model(data.folder, run, settings, seed=seed)
-        motion = evaluate_motion(model, data, progress=Counted("predict"))
-        save_evaluation(run, MOTION, motion)
-        physics = _measure(run, model, data, motion.scores, mechanism, scale)
-        save_physics(run, {**physics, "given": given(scale, gravity)})
-        print(f"{time.monotonic() - began:.0f} s; open {write_report(run)} in a browser", flush=True)
+        options = {"fps": fps, "crop": crop, "plane": plane, "plane_ratio": plane_ratio}
+        with _claimed(run, clips, mechanism, size, options):
+            chosen, compared = compare(clips[0], run, options) if mechanism == AUTO else (mechanism, [])
+            if chosen is not None and mechanism == AUTO:
+                print(alternatives_table(compared), flush=True)
+                scale = scale_of(length, gravity, chosen)
+            data = None if chosen is None else _imported(run, clips, chosen, size, options)
+        if chosen is None or data is None:
+            save_physics(run, _unidentified(compared))
+            print(NOT_IDENTIFIABLE, flush=True)
+        else:
+            model = train_model(data.folder, run, settings, seed=seed)
+            motion = evaluate_motion(model, data, progress=Counted("predict"))
+            save_evaluation(run, MOTION, motion)
+            physics = _measure(run, model, data, motion.scores, chosen, scale)
+            physics["given"] = given(scale, gravity)
+            if compared:
+                physics["alternatives"] = compared
+            save_physics(run, physics)
+            print(f"{time.monotonic() - began:.0f} s; open {write_report(run)} in a browser", flush=True)
     print(as_json(dict(load_physics(run))) if json else _table(load_physics(run)))
 
 
@@ -119,50 +144,67 @@ def given(scale: "Scale | None", gravity: float | None) -> dict[str, float]:
     return length | ({} if gravity is None else {"gravity_m": gravity})
 
 
-def _imported(
-    clips: Sequence[Path],
-    run: Path,
-    mechanism: str,
-    fps: float | None,
-    crop: tuple[int, int, int, int] | None,
-    size: int,
-) -> "DataSet":
-    """Return the data set of a run, made of the clips unless it is there.
+def _unidentified(compared: "list[Alternative]") -> "Physics":
+    """Return the answer where no mechanism was found."""
+    return {
+        "mechanism": None,
+        "fps": None,
+        "constants": {},
+        "rejected": {},
+        "prediction": {},
+        "alternatives": compared,
+        "note": NOT_IDENTIFIABLE,
+    }
+
+
+@contextlib.contextmanager
+def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, options: Mapping[str, Any]) -> Iterator[None]:
+    """Say in the run folder what its data are made of; leave no new folder behind where that fails.
 
     Raises:
-        KeycldError: as `import_clip`, which leaves nothing; or the run is of other clips or options.
+        KeycldError: the run is of other clips or options.
     """
-    from keycld.data import import_clip, open_data, sha256, unfinished
+    from keycld.data import sha256
     from keycld.data.imports.video import constraints_text
 
-    folder = run / "data"
     for clip in clips:
         if not clip.is_file():
             raise KeycldError(f"there is no video {clip}: check the path.")
     request = {
         "clips": [sha256(clip) for clip in clips],
-        "constraints": constraints_text(mechanism),
-        "fps": fps,
-        "crop": None if crop is None else list(crop),
+        "constraints": mechanism if mechanism == AUTO else constraints_text(mechanism),
         "size": size,
+        **{name: list(value) if isinstance(value, tuple) else value for name, value in options.items()},
     }
     there = run.exists()
     if (run / _REQUEST).exists():
         before = read_json(run / _REQUEST, dict[str, Any], f"delete {run}")
         for name, value in request.items():
-            if before.get(name) != value:
+            if before.get(name, _DEFAULTS.get(name)) != value:
                 raise KeycldError(f"{run} is of other {name}: choose another --out, or delete that folder.")
     try:
         write_text(run / _REQUEST, dumps(request, indent=1))
-        if unfinished(folder) or not (folder / "train.h5").exists():
-            made = import_clip(clips, folder, constraints=mechanism, size=size, fps=fps, crop=crop)
-            counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
-            crop_text = " ".join(map(str, made.crop))
-            print(f"clip         {made.fps:g} frames/s, crop {crop_text}, frames: {counts}", flush=True)
+        yield
     except KeycldError:
         if not there:
             shutil.rmtree(run, ignore_errors=True)
         raise
+
+
+def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, options: Mapping[str, Any]) -> "DataSet":
+    """Return the data set of a run, made of the clips unless it is there.
+
+    Raises:
+        KeycldError: as `import_clip`, which leaves nothing.
+    """
+    from keycld.data import import_clip, open_data, unfinished
+
+    folder = run / "data"
+    if unfinished(folder) or not (folder / "train.h5").exists():
+        made = import_clip(clips, folder, constraints=mechanism, size=size, **options)
+        counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
+        crop = " ".join(map(str, made.crop))
+        print(f"clip         {made.fps:g} frames/s, crop {crop}, frames: {counts}", flush=True)
     return open_data(folder)
 
 
@@ -172,7 +214,7 @@ def _measure(
     """Measure the constants on the training keypoints; return them with the scores of the prediction."""
     import jax.numpy as jnp
 
-    from keycld.evaluation import measure_physics, training_tracks
+    from keycld.evaluation import fitted_tracks, measure_physics
     from keycld.mechanics import MechanicalDynamics, terms_of
     from keycld.models.keycld.identify import Tracks, evidence
     from keycld.models.keycld.model import KeyCLD
@@ -183,7 +225,7 @@ def _measure(
     assert isinstance(model, KeyCLD) and isinstance(config, ClipConfig)
     dynamics = model.dynamics
     assert isinstance(dynamics, MechanicalDynamics)
-    x, u = training_tracks(model, data)
+    x, u = fitted_tracks(model, data)
     worth = {}
     if config.terms is None:
         tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
@@ -198,7 +240,9 @@ def _measure(
 
 
 def _table(physics: "Physics") -> str:
-    """Return the constants, one a line."""
+    """Return the constants, one a line; without any the mechanisms that were compared."""
+    if not physics["constants"]:
+        return alternatives_table(physics.get("alternatives", []))
     lines = []
     for name, each in physics["constants"].items():
         value = "not determined" if each["value"] is None else f"{each['value']:.5g}"

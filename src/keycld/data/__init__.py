@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from keycld.data.generate.protocols import PROTOCOLS as PROTOCOLS
     from keycld.data.generate.sweeps import Sweep as Sweep
     from keycld.data.imports.clip import ImportedClip as ImportedClip
+    from keycld.data.imports.clip import before_test as before_test
     from keycld.data.imports.clip import clip_file as clip_file
     from keycld.data.imports.clip import import_clip as import_clip
     from keycld.data.imports.clip import is_clip as is_clip
@@ -64,6 +65,7 @@ __all__ = [
     "Trajectories",
     "WholeTrajectories",
     "Windows",
+    "before_test",
     "check",
     "clip_file",
     "image_statistics",

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.motion import GIVEN as GIVEN
     from keycld.evaluation.motion import MOTION as MOTION
     from keycld.evaluation.motion import evaluate_motion as evaluate_motion
-    from keycld.evaluation.motion import training_tracks as training_tracks
+    from keycld.evaluation.motion import fitted_tracks as fitted_tracks
     from keycld.evaluation.named_protocols import PROTOCOLS as PROTOCOLS
     from keycld.evaluation.named_protocols import make_protocol as make_protocol
     from keycld.evaluation.named_protocols import protocol_named as protocol_named
@@ -132,7 +132,7 @@ __all__ = [
     "summary",
     "symetric",
     "threshold_text",
-    "training_tracks",
+    "fitted_tracks",
     "valid_prediction_time",
     "validation_epsilon",
     "with_given",

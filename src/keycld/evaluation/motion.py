@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
+from keycld.data import before_test
 from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.predicting import Progress, batch_size, observe, predict, refuse_too_few
 from keycld.mechanics import AbstractDisplacement, Constraints, Motion, State
@@ -112,11 +113,11 @@ def evaluate_motion(
     return Evaluation(scores, arrays)
 
 
-def training_tracks(model: HasKeypoints, data: "DataSet") -> tuple[Float[np.ndarray, "N T dim"], np.ndarray]:
-    """Return the keypoints observed in the training recordings, and their inputs."""
-    train = data.split("train")
-    x = _observed(model, train.image)
-    return x.reshape(*x.shape[:2], -1), train.input
+def fitted_tracks(model: HasKeypoints, data: "DataSet") -> tuple[Float[np.ndarray, "N T dim"], np.ndarray]:
+    """Return the keypoints observed in the recordings before the test part (`before_test`), and their inputs."""
+    fitted = before_test(data)
+    x = _observed(model, fitted.image)
+    return x.reshape(*x.shape[:2], -1), fitted.input
 
 
 def polynomial(given: Float[np.ndarray, "N n K 2"], length: int, degree: int) -> Float[np.ndarray, "N T K 2"]:

@@ -37,6 +37,7 @@ _UNITS = {
     "period": "s",
     "viscous_rate": "1/s",
     "damping_ratio": "1",
+    "coulomb_deceleration": "units/s²",
     "line_direction": "degrees",
     "gravity_direction": "degrees",
     "gravity_m": "m/s²",

@@ -42,26 +42,51 @@ class Rejected(TypedDict):
     needed: float
 
 
+class Alternative(TypedDict):
+    """A mechanism that a clip may show, with its evidence.
+
+    Attributes:
+        mechanism: its name, or null.
+        keypoints: their names.
+        constraints: each with its residual: how far the track deviates from it, as a share of the track's extent.
+        freedom: degrees of freedom.
+        prediction: error of the predicted validation part, as a share of the extent of the motion; null where it was
+            not predicted, because the constraints do not hold.
+        chosen: whether it is the answer.
+    """
+
+    mechanism: str | None
+    keypoints: list[str]
+    constraints: dict[str, float]
+    freedom: int
+    prediction: float | None
+    chosen: bool
+
+
 class Physics(TypedDict):
     """The contents of `physics.json`.
 
     Attributes:
         mechanism: its name, or null where the constraints have none.
-        fps: frames a second; all times are at this rate.
+        fps: frames a second; all times are at this rate; null where there are none.
         constants: by name; the names are stable (docs/physics.md).
         rejected: forces that were tried and dropped, by kind.
         prediction: scores of a prediction that was not part of the fit, {} without one.
         given: what the user has measured, by the name of the constant.
         forces: kinds of forces that act in addition to gravity.
+        alternatives: the mechanisms that were compared, the chosen one first, where none was told.
+        note: why there is no mechanism.
     """
 
     mechanism: str | None
-    fps: float
+    fps: float | None
     constants: dict[str, Constant]
     rejected: dict[str, Rejected]
     prediction: dict[str, Any]
     given: NotRequired[dict[str, float]]
     forces: NotRequired[list[str]]
+    alternatives: NotRequired[list[Alternative]]
+    note: NotRequired[str]
 
 
 def save_physics(folder: str | Path, physics: Physics) -> Path:

@@ -19,6 +19,8 @@ from keycld.mechanics.dense import Linear as Linear
 from keycld.mechanics.dense import SwishEnergy as SwishEnergy
 from keycld.mechanics.dense import SwishMLP as SwishMLP
 from keycld.mechanics.dense import truncated_normal as truncated_normal
+from keycld.mechanics.discovery import Candidate as Candidate
+from keycld.mechanics.discovery import candidates as candidates
 from keycld.mechanics.dynamics import AbstractMechanicalDynamics as AbstractMechanicalDynamics
 from keycld.mechanics.dynamics import MechanicalDynamics as MechanicalDynamics
 from keycld.mechanics.dynamics import joining_velocity as joining_velocity
@@ -125,6 +127,7 @@ __all__ = [
     "Composition",
     "ConstrainedLagrangian",
     "Constraints",
+    "Candidate",
     "CoupledMasses",
     "Derived",
     "DistanceToPoint",
@@ -175,6 +178,7 @@ __all__ = [
     "ViscousFriction",
     "adaptive_rollout",
     "as_constraint",
+    "candidates",
     "derive",
     "dump_constraints",
     "estimate",

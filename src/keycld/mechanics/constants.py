@@ -8,11 +8,12 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics.constraints import AbstractConstraint, Constraints
 from keycld.mechanics.force import SumPotential, terms_of
+from keycld.mechanics.forces.coulomb import CoulombFriction
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.mechanics.relation import AbstractRelation
 from keycld.mechanics.relations.distance_to_point import DistanceToPoint
 from keycld.mechanics.relations.fixed_distance import FixedDistance
-from keycld.mechanics.rest_pose import RestPose, oscillations, viscous_rate
+from keycld.mechanics.rest_pose import RestPose, coulomb_decelerations, oscillations, viscous_rate
 
 PIVOT = "pivot"
 """The fixed end of a link, in the names of lengths."""
@@ -72,6 +73,10 @@ def physical_constants(
         if any(getattr(term, "viscous", False) for term in terms_of(law).values()):
             found["viscous_rate"] = viscous_rate(law, constants, pose)
             found |= {f"damping_ratio_{k + 1}": small.damping_ratios[k] for k in range(small.periods.shape[0])}
+        dry = terms_of(law).get(CoulombFriction.kind)
+        if isinstance(dry, CoulombFriction):
+            slowed = coulomb_decelerations(law, constants, pose, dry)
+            found |= {f"coulomb_deceleration_{k + 1}": slowed[k] for k in range(slowed.shape[0])}
     if isinstance(law.potential, SumPotential) and not _LIKE_WEIGHT & law.potential.terms.keys():
         weights = law.potential.weight.reshape(-1, 2)
         down = -jnp.sum(weights, axis=0)

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PyTree
 from keycld._errors import KeycldError
 from keycld.mechanics.dynamics import MechanicalDynamics
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
-from keycld.mechanics.residuals import autocovariance, lagged_products, robust_scale
+from keycld.mechanics.residuals import autocovariance, deviation, lagged_products, robust_scale
 from keycld.mechanics.sensitivity import Sensitivity, Unknowns, paths, sensitivity
 from keycld.mechanics.state import Motion, Scalar
 
@@ -25,6 +25,8 @@ _FLAT = 1e-11
 _LEAK = 1e-4
 # The fit ends when a step would gain less than this, in units of the noise's variance, for each unknown.
 _DONE, _STEPS = 1e-5, 40
+# Errors across a constraint count as at least this share of those along it.
+_THIN = 0.05
 _DAMPINGS = (0.0, 1e-4, 1e-2, 1e0, 1e2)
 
 
@@ -86,12 +88,14 @@ def estimate(
 ) -> Estimate:
     """Fit the parameters of a law and all initial states to tracks, and compute the covariance of the parameters.
 
-        min over zᵢ, η of Σᵢₜₖ ρ((x̂ᵢₜₖ − xₖ(t; zᵢ, η)) / σₖ),    ρ(e) = 25 (√(1 + e²/25) − 1)
+        min over zᵢ, η of Σᵢₜ ρ(Wᵢₜ (x̂ᵢₜ − x(t; zᵢ, η))),    ρ(e) = 25 (√(1 + e²/25) − 1)
 
-    by Gauss–Newton steps in float64, from a solution of `fit_motions`. Motions are integrated so finely that the error
-    does not matter, all derivatives are exact, and the constants c of Φ, such as squared lengths, are unknowns like
-    all others. Initial states vary along the constraints, and are eliminated: G = dx/dη with the best zᵢ for each η.
-    With S = Gᵀ W G,
+    W divides the errors of each keypoint by their deviation, and then those across each constraint and those along all
+    of them by theirs. Where a law is not exact, errors along the constraints are many times larger: they are errors of
+    time. Those across them are of the observation alone, and tell lengths and pivots. Gauss–Newton steps in float64
+    begin at a solution of `fit_motions`. Motions are integrated so finely that the error does not matter, all
+    derivatives are exact, and the constants c of Φ, such as squared lengths, are unknowns like all others. Initial
+    states vary along the constraints, and are eliminated: G = W dx/dη with the best zᵢ for each η. With S = Gᵀ ρ″ G,
 
         cov η = S⁻¹ (Σₖ Gₖᵀ Cₖ Gₖ) S⁻¹ n/(n − p)
 
@@ -118,8 +122,8 @@ def estimate(
         tracks, inputs, step = np.asarray(observed, float), jnp.asarray(np.asarray(u, float)), float(dt)
         unknowns, eta = Unknowns.of(dynamics, free, tracks)
         start = Motion(*(jnp.asarray(np.asarray(part, float)) for part in initial))
-        eta, near, sigma = _minimum(unknowns, eta, start, tracks, inputs, step)
-        return _with_covariance(unknowns, eta, near, tracks, sigma, step)
+        eta, near, whiten = _minimum(unknowns, eta, start, tracks, inputs, step)
+        return _with_covariance(unknowns, eta, near, tracks, whiten, step)
 
 
 def derive(found: Estimate, function: Callable[..., dict[str, Array]], *arguments: Any) -> dict[str, Derived]:
@@ -157,38 +161,69 @@ def _derived(found: Estimate, value: float, slope: np.ndarray) -> Derived:
 def _minimum(
     unknowns: Unknowns, eta: np.ndarray, start: Motion, tracks: np.ndarray, u: Array, dt: float
 ) -> tuple[np.ndarray, Sensitivity, np.ndarray]:
-    """Return the best η, the motions there, and the scale of the errors."""
-    sigma = None
+    """Return the best η, the motions there, and W `[N, T, dim, dim]`."""
+    scales, whiten = None, np.zeros(0)
     near = sensitivity(unknowns, eta, start, u, dt, tracks.shape[1])
     for _ in range(_STEPS):
         error = tracks - near.x
         if not np.all(np.isfinite(near.slopes)):
             raise KeycldError("the fitted motions diverge, so that nothing can be said of the parameters of their law.")
-        measured = robust_scale(error)
-        # It follows the errors as they become smaller, and then stays: a cost that changes has no minimum.
-        sigma = measured if sigma is None or np.any(measured < 0.9 * sigma) else sigma
-        normal = NormalEquations(near.slopes / sigma[:, None], error / sigma, _weight(error / sigma), near.local)
+        measured, matrices = _whitening(unknowns, eta, near.x, error)
+        # They follow the errors as they become smaller, and then stay: a cost that changes has no minimum.
+        if scales is None or np.any(measured < 0.9 * scales):
+            scales, whiten = measured, matrices
+        scaled = _times(whiten, error)
+        normal = NormalEquations(whiten @ near.slopes, scaled, _weight(scaled), near.local)
         if normal.gain() < _DONE * (len(eta) + near.initial.x.shape[0] * near.local):
             break
         for damping in _DAMPINGS:
             moves, change = normal.step(damping)
             moved = near.moved(moves)
             x = paths(unknowns, jnp.asarray(eta + change), moved, u, jnp.asarray(dt), tracks.shape[1])
-            if _cost((tracks - np.asarray(x)) / sigma) < _cost(error / sigma):
-                eta, near = eta + change, sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
-                break
+            if _cost(_times(whiten, tracks - np.asarray(x))) < _cost(scaled):
+                there = sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
+                if np.all(np.isfinite(there.slopes)):
+                    eta, near = eta + change, there
+                    break
         else:
             break
-    assert sigma is not None
-    return eta, near, sigma
+    return eta, near, whiten
+
+
+def _whitening(unknowns: Unknowns, eta: np.ndarray, x: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return deviations, and W `[N, T, dim, dim]`: errors W e across and along the constraints have a deviation of one.
+
+    The deviations are those of the keypoints, and those across each constraint.
+    """
+    sigma = robust_scale(error)
+    unit = np.broadcast_to(np.eye(len(sigma)), (*error.shape, len(sigma)))
+    rows = np.asarray(_jacobians(unknowns.law(jnp.asarray(eta))[0], jnp.asarray(x)))
+    if not 0 < rows.shape[-2] < len(sigma):
+        return sigma, unit / sigma
+    normals, _ = np.linalg.qr(np.swapaxes(rows * sigma, -1, -2))
+    across = np.einsum("ntdj,ntd->ntj", normals, error / sigma)
+    along = np.linalg.norm(error / sigma - _times(normals, across), axis=-1) / math.sqrt(len(sigma) - rows.shape[-2])
+    most = deviation(along)
+    each = np.array([max(deviation(across[..., j]), _THIN * most) for j in range(rows.shape[-2])])
+    whiten = (unit / most + normals * (1 / each - 1 / most) @ np.swapaxes(normals, -1, -2)) / sigma
+    return np.concatenate([sigma, each * np.mean(sigma)]), whiten
+
+
+@eqx.filter_jit
+def _jacobians(law: ConstrainedLagrangian, x: Array) -> Array:
+    return jax.vmap(jax.vmap(law.jacobian))(x)
+
+
+def _times(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("ntij,ntj->nti", matrices, vectors)
 
 
 def _with_covariance(
-    unknowns: Unknowns, eta: np.ndarray, near: Sensitivity, tracks: np.ndarray, sigma: np.ndarray, dt: float
+    unknowns: Unknowns, eta: np.ndarray, near: Sensitivity, tracks: np.ndarray, whiten: np.ndarray, dt: float
 ) -> Estimate:
-    error = (tracks - near.x) / sigma
+    error = _times(whiten, tracks - near.x)
     # The second derivative of ρ, not the weight of the steps, is the curvature of the cost.
-    normal = NormalEquations(near.slopes / sigma[:, None], error, _weight(error) ** 3, near.local)
+    normal = NormalEquations(whiten @ near.slopes, error, _weight(error) ** 3, near.local)
     inverse, flat, scale = normal.inverse()
     used = len(eta) - flat.shape[1] + len(tracks) * near.local
     if tracks.size <= used:

@@ -8,16 +8,20 @@ _CHANCE = 2.0
 
 
 def robust_scale(error: Float[np.ndarray, "N T dim"]) -> Float[np.ndarray, "dim"]:
-    """Return the standard deviation of the errors of each keypoint, for both of its coordinates.
+    """Return the standard deviation of the errors of each keypoint, for both of its coordinates."""
+    pairs = error.reshape(-1, error.shape[-1] // 2, 2)
+    return np.repeat(np.maximum([deviation(pairs[:, k]) for k in range(pairs.shape[1])], 1e-9), 2)
 
-    Errors beyond three times that of a normal distribution with their median, 1.483 median |e|, count as much as these,
-    so outliers have little weight.
+
+def deviation(errors: Float[np.ndarray, "..."]) -> float:
+    """Return the standard deviation of errors of mean zero, in which outliers have little weight.
+
+    Errors beyond three times that of a normal distribution with their median, 1.483 median |e|, count as much as these.
     """
-    size = np.abs(error.reshape(-1, error.shape[-1] // 2, 2))
-    most = 3 * 1.483 * np.median(size, axis=(0, 2), keepdims=True)
+    size = np.abs(errors)
+    most = 3 * 1.483 * np.median(size)
     # 0.995 is this mean for a normal distribution.
-    scale = np.sqrt(np.mean(np.minimum(size, most) ** 2, axis=(0, 2)) / 0.995)
-    return np.repeat(np.maximum(scale, 1e-9), 2)
+    return float(np.sqrt(np.mean(np.minimum(size, most) ** 2) / 0.995))
 
 
 def autocovariance(scores: Float[np.ndarray, "N T"]) -> Float[np.ndarray, "L"]:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld.mechanics.force import SumDissipation
+from keycld.mechanics.forces.coulomb import CoulombFriction
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 
 # Steps of the descent, and how small the force must be at rest, as a share of the largest one that was met.
@@ -89,6 +90,22 @@ def viscous_rate(law: ConstrainedLagrangian, constants: Float[Array, "n"], pose:
     """
     _, mass, friction = _reduced(law, constants, pose)
     return jnp.trace(_whitened(friction, mass)) / friction.shape[0]
+
+
+def coulomb_decelerations(
+    law: ConstrainedLagrangian, constants: Float[Array, "n"], pose: RestPose, friction: CoulombFriction
+) -> Float[Array, "modes"]:
+    """Return by how much dry friction slows each small oscillation, image-plane units/s²: Σᵢ cᵢ |yᵢ| / yᵀ M y.
+
+    y is the oscillation's direction, scaled so that the keypoint that moves most has |yᵢ| = 1: the number is the
+    deceleration of this keypoint. For a single part it is c/m.
+    """
+    stiffness, mass, _ = _reduced(law, constants, pose)
+    _, modes = jnp.linalg.eigh(_whitened(stiffness, mass))
+    y = jnp.asarray(pose.basis) @ jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(mass).T, modes, lower=False)
+    moved = jnp.sqrt(jnp.sum(y.reshape(-1, 2, y.shape[1]) ** 2, axis=1) + 1e-30)
+    # yᵀ M y is 1 before y is scaled by its largest |yᵢ|.
+    return (jnp.abs(friction.strength) @ moved * jnp.max(moved, axis=0))[pose.free :]
 
 
 def _reduced(

@@ -85,6 +85,31 @@ def rejected(run: Run) -> str:
     return html.section("rejected", "What was rejected", html.paragraph(note) + table)
 
 
+def alternatives(run: Run) -> str:
+    """Show the mechanisms that were compared, where none was told."""
+    compared = [] if run.motion is None or run.physics is None else run.physics.get("alternatives", [])
+    if not compared:
+        return ""
+    rows = [
+        (
+            html.text(("→ " if each["chosen"] else "") + (each["mechanism"] or "without a name")),
+            html.text(", ".join(each["keypoints"])),
+            html.text(", ".join(f"{name} {residual:.1%}" for name, residual in each["constraints"].items()) or "none"),
+            str(each["freedom"]),
+            "–" if each["prediction"] is None else _percent(each["prediction"]),
+        )
+        for each in compared
+    ]
+    note = (
+        "Parts that move were told apart by their colours. Each constraint has the deviation of the track from it, as "
+        "a share of the track's extent. Where all are small, the dynamics were fitted to the training part, and "
+        "predicted the validation part: the last column, as a share of the extent of the motion. Of the predictions "
+        "that are nearly as good as the best, the one with the fewest degrees of freedom was chosen."
+    )
+    table = html.table(["mechanism", "keypoints", "constraints", "freedom", "prediction off by"], rows, "scores")
+    return html.section("alternatives", "Which mechanism", html.paragraph(note) + table)
+
+
 def prediction(run: Run) -> str:
     """Show the error of the prediction over time next to motions without physics, and the residuals of the skeleton."""
     if run.motion is None:

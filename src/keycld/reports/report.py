@@ -28,6 +28,7 @@ _CLIP_SECTIONS = (
     clip_sections.prediction,
     clip_sections.course,
     clip_sections.rejected,
+    clip_sections.alternatives,
     run_sections.training,
     run_sections.reproduction,
 )

@@ -59,6 +59,8 @@ class Stage:
         judge: says after the last step what has failed, or None, from the model, the data and the last logged terms.
             Training then begins again with other initial weights.
         validate: whether the validation set is scored after the last step.
+        with_validation: whether the resident data are those of training and validation: for a last fit of what was
+            chosen, after the last choice.
     """
 
     name: str
@@ -77,6 +79,7 @@ class Stage:
     alternative: AbstractLoss | None = None
     judge: Callable[[Any, Resident, Mapping[str, float]], str | None] | None = None
     validate: bool = False
+    with_validation: bool = False
 
     def labels(self, model: eqx.Module) -> list[str | None]:
         """Return the name of the group of each leaf of the model, None where it is not trained.

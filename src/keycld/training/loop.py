@@ -70,6 +70,7 @@ def train_stages(
     changes: Callable[[AbstractModel], dict[str, Any]],
     stages: tuple[Stage, ...],
     source: TrainingData,
+    everything: Callable[[], Resident],
     folder: Path,
     *,
     devices: Devices,
@@ -94,6 +95,7 @@ def train_stages(
         changes: returns the settings that training has changed in a model.
         stages: the recipe.
         source: training data.
+        everything: returns the data of training and validation, for stages that are fitted to both.
         folder: run folder.
         devices: share the clips of each step.
         seed: of all randomness.
@@ -176,7 +178,7 @@ def train_stages(
         if progress is not None:
             current, rest = progress, initial_progress(stage, model)[1]
         else:
-            data = _moved(data, source.at(before[number]))
+            data = everything() if stage.with_validation else _moved(data, source.at(before[number]))
             models = [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
             other: Callable[[int], Run] = compiled
             if stage.alternative is not None:

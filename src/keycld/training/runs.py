@@ -16,7 +16,7 @@ import numpy as np
 from keycld._errors import KeycldError, check_minutes, check_seed
 from keycld._files import remove_orphans
 from keycld._lock import locked
-from keycld.data import DataSet, open_data, sha256
+from keycld.data import DataSet, before_test, open_data, resident, sha256
 from keycld.evaluation import frame_errors, predict, valid_prediction_time, validation_epsilon
 from keycld.models import ModelConfig, Scene, config_for
 from keycld.models.base import AbstractModel
@@ -124,6 +124,7 @@ def train(
                 lambda model: _changes(config, config.matching(model)),
                 stages,
                 source,
+                lambda: resident(before_test(dataset)),
                 folder,
                 devices=shared,
                 seed=seed,

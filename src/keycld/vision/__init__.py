@@ -15,6 +15,8 @@ from keycld.vision.keypoint_estimator import Standardise as Standardise
 from keycld.vision.map_networks import MapEncoder as MapEncoder
 from keycld.vision.map_networks import MapEnergy as MapEnergy
 from keycld.vision.map_networks import MapTransform as MapTransform
+from keycld.vision.moving_parts import Part as Part
+from keycld.vision.moving_parts import moving_parts as moving_parts
 from keycld.vision.renderer import AbstractRenderer as AbstractRenderer
 from keycld.vision.renderer import Renderer as Renderer
 from keycld.vision.unet import AbstractUNet as AbstractUNet
@@ -34,6 +36,7 @@ __all__ = [
     "MapEncoder",
     "MapEnergy",
     "MapTransform",
+    "Part",
     "Observation",
     "PaperUNet",
     "Renderer",
@@ -41,5 +44,6 @@ __all__ = [
     "gaussian_maps",
     "image_grid",
     "mean_in_chunks",
+    "moving_parts",
     "spatial_softmax",
 ]

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -13,7 +13,9 @@ from jaxtyping import UInt8
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld._files import make_folder
+from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
+from keycld.data.imports.plane import Plane, plane_filter
 from keycld.data.imports.video import (
     as_trajectories,
     constraints_text,
@@ -25,12 +27,17 @@ from keycld.data.imports.video import (
     unreadable,
 )
 
+if TYPE_CHECKING:
+    from keycld.data.dataset import DataSet
+
 _FEWEST, _MOST = 60, 1200
 """Frames of a video; of longer ones every second, third, … frame is kept."""
 _LOOKED, _SIDE = 300, 160
 """Frames and pixels of the shorter side in which motion is looked for."""
 _TRAIN, _TEST = 0.6, 1 / 3
 """Shares of the frames: the first ones for training, the last ones for the test."""
+# Pixels that the parts of a mechanism cover at least.
+_TINY = 5.0
 CLIP = "clip"
 """The split plan of a data set that was made of a clip."""
 
@@ -66,10 +73,12 @@ def import_clip(
     paths: str | Path | Sequence[str | Path],
     out: str | Path,
     *,
-    constraints: str | Path,
+    constraints: str | Path | None,
     size: int = 64,
     fps: float | None = None,
     crop: tuple[int, int, int, int] | None = None,
+    plane: Plane | None = None,
+    plane_ratio: float = 1.0,
     longest: int = 400,
 ) -> ImportedClip:
     """Make a data set of one video of one motion, of 60 frames to some minutes, or of several from the same place.
@@ -81,49 +90,57 @@ def import_clip(
     Args:
         paths: videos of one mechanism, any format that ffmpeg reads.
         out: the folder to make.
-        constraints: a TOML file of keypoints and constraints, or the name of a mechanism.
+        constraints: a TOML file of keypoints and constraints, or the name of a mechanism; None: without any.
         size: pixels of a side of the pictures, a multiple of 8.
         fps: frames a second with which the camera recorded, where the file states another rate (slow motion).
         crop: (left, top, width, height), a square in pixels of the video; by default the part in which something moves.
+        plane: corners of a rectangle in the plane of the motion, which is then mapped to its view from the front. A
+            crop is one of the mapped video.
+        plane_ratio: width of that rectangle divided by its height.
         longest: the most frames of a recording.
 
     Raises:
-        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut, a bad crop, size or
-            rate; videos of different sizes or rates.
+        KeycldError: no such file, not a video, too short, nothing moves or in too few pixels, the camera moves, a cut,
+            a bad crop, plane, size or rate; videos of different sizes or rates.
     """
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
-    text = constraints_text(constraints)
+    text = None if constraints is None else constraints_text(constraints)
     if size < 8 or size % 8:
         raise KeycldError(f"size must be a multiple of 8, not {size}.")
     if fps is not None and not 0 < fps < float("inf"):
         raise KeycldError(f"fps must be above 0, not {fps}.")
-    videos = [_looked_at(path) for path in sources]
+    videos = [_looked_at(path, plane, plane_ratio) for path in sources]
     _refuse_unlike(videos)
     first = videos[0]
     corners = np.array([video.part for video in videos])
     part = (*corners[:, :2].min(axis=0).tolist(), *corners[:, 2:].max(axis=0).tolist())
     chosen = _square_around(part, first.width, first.height) if crop is None else crop
     every = max(1, math.ceil(max(video.seconds for video in videos) * first.rate / _MOST))
+    mapped = "" if plane is None else plane_filter(plane, plane_ratio, first.width, first.height)
     make_folder(out.parent)
     with spool_in(out.parent) as spool:
         asked = None if every == 1 else float(first.rate / every)
-        decoded = [decode(path, spool, size, asked, chosen, 0.0, 1) for path in sources]
+        decoded = [decode(path, spool, size, asked, chosen, 0.0, 1, mapped) for path in sources]
         kept = decoded[0][1]
         rate = kept if fps is None else fps / every
         ends = np.cumsum([count for count, _ in decoded])
         images = np.memmap(spool, np.uint8, "r", shape=(int(ends[-1]), size, size, 3))
+        if constraints is not None:
+            _refuse_tiny(images, sources[0])
         split: dict[str, list[np.ndarray]] = {"train": [], "validation": [], "test": []}
         for clip in np.split(images, ends[:-1]):
             bounds = round(_TRAIN * len(clip)), len(clip) - round(_TEST * len(clip))
             for name, some in zip(split, np.split(clip, bounds), strict=True):
                 split[name].append(some)
-        parts = {name: _recordings(clips, longest) for name, clips in split.items()}
-        if len(parts["train"]) == 1 and text.count("[[constraint]]") > 1:
+        parts = {name: _recordings(clips, longest, last=name == "train") for name, clips in split.items()}
+        if len(parts["train"]) == 1 and text is not None and text.count("[[constraint]]") > 1:
             # A chain's motion is fitted in halves: after a while nearby motions part.
-            parts["train"] = _recordings(split["train"], (len(split["train"][0]) + 1) // 2)
+            parts["train"] = _recordings(split["train"], (len(split["train"][0]) + 1) // 2, last=True)
         attributes = origin(sources, rate) | {"protocol": CLIP, "crop": chosen, "kept_fps": kept}
-        attributes["video_size"] = (first.width, first.height)
+        for name in ("train", "validation"):
+            attributes[f"{name}_of_clips"] = [len(clip) // parts[name].shape[1] for clip in split[name]]
+        attributes |= {"video_size": (first.width, first.height), "mapped": mapped}
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
     return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]))
@@ -132,6 +149,27 @@ def import_clip(
 def is_clip(attributes: Mapping[str, Any]) -> bool:
     """Return whether a data set with these attributes was made of a clip."""
     return attributes.get("protocol") == CLIP
+
+
+def before_test(data: "DataSet") -> Trajectories:
+    """Return the training recordings of a clip, each clip's continued by its validation part.
+
+    About as many recordings as for training, of one length. Of other data it is the training split.
+    """
+    train = data.train()
+    if not is_clip(data.attributes):
+        return train
+    validation = data.validation()
+    assert train.image is not None and validation.image is not None
+
+    def clips(name: str, image: np.ndarray) -> list[np.ndarray]:
+        counts = data.attributes.get(f"{name}_of_clips", [len(image)])
+        return [each.reshape(-1, *each.shape[2:]) for each in np.split(image, np.cumsum(counts)[:-1])]
+
+    pairs = list(zip(clips("train", train.image), clips("validation", validation.image), strict=True))
+    longest = max(math.ceil((len(first) + len(then)) * train.frames / len(first)) for first, then in pairs)
+    image = _recordings([np.concatenate(pair) for pair in pairs], longest, last=True)
+    return as_trajectories(image, dict(train.attributes))
 
 
 def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size: int) -> Path:
@@ -167,23 +205,26 @@ def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size:
     make_folder(out.parent)
     with spool_in(out.parent) as spool:
         asked = None if abs(kept - rate) < Fraction(1, 100) else float(kept)
-        total, _ = decode(video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1)
+        total, _ = decode(
+            video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1, str(like.get("mapped", ""))
+        )
         images = np.memmap(spool, np.uint8, "r", shape=(1, total, size, size, 3))
         attributes = origin([video], 1 / float(like["dt"])) | {"system": str(like["system"])}
         write(out, as_trajectories(np.asarray(images), attributes))
     return out
 
 
-def _looked_at(path: Path) -> _Video:
+def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
     """Read what a video shows, and refuse one that shows no motion of a mechanism.
 
     Raises:
-        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut.
+        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut; a bad plane.
     """
     if not path.is_file():
         raise KeycldError(f"there is no video {path}: check the path.")
     width, height, rate, seconds = probe(path)
-    grey = _grey(path, width, height, rate, seconds)
+    mapped = "" if plane is None else f"{plane_filter(plane, plane_ratio, width, height)},"
+    grey = _grey(path, width, height, rate, seconds, mapped)
     if len(grey) < _FEWEST:
         raise KeycldError(f"{path} has {len(grey)} frames, but {_FEWEST} are the least: record a longer video.")
     _refuse_cuts(grey, path)
@@ -206,20 +247,28 @@ def _refuse_unlike(videos: Sequence[_Video]) -> None:
             )
 
 
-def _recordings(clips: Sequence[np.ndarray], longest: int) -> np.ndarray:
-    """Return frames `[T, …]` of each clip as recordings `[N, T', …]`, as long as `longest` and the shortest allow."""
+def _recordings(clips: Sequence[np.ndarray], longest: int, *, last: bool = False) -> np.ndarray:
+    """Return frames `[T, …]` of each clip as recordings `[N, T', …]`, as long as `longest` and the shortest allow.
+
+    What does not fill a recording is dropped at the end of the clip; with `last` at its beginning.
+    """
     shortest = min(len(clip) for clip in clips)
     length = shortest // math.ceil(shortest / longest)
-    cut = [clip[: len(clip) // length * length].reshape(-1, length, *clip.shape[1:]) for clip in clips]
+    cut = []
+    for clip in clips:
+        kept = len(clip) // length * length
+        cut.append((clip[len(clip) - kept :] if last else clip[:kept]).reshape(-1, length, *clip.shape[1:]))
     return cut[0] if len(cut) == 1 else np.concatenate(cut)
 
 
-def _grey(path: Path, width: int, height: int, rate: Fraction, seconds: float) -> UInt8[np.ndarray, "T h w"]:
+def _grey(
+    path: Path, width: int, height: int, rate: Fraction, seconds: float, mapped: str
+) -> UInt8[np.ndarray, "T h w"]:
     """Return at least 60 and about 300 frames of the whole video, grey and small, if it has as many."""
     scale = min(1.0, _SIDE / min(width, height))
     w, h = max(2, round(width * scale)), max(2, round(height * scale))
     every = max(1, math.floor(seconds * rate / _LOOKED))
-    filters = f"fps={rate / every},scale={w}:{h}:flags=area"
+    filters = f"fps={rate / every},{mapped}scale={w}:{h}:flags=area"
     found = []
     try:
         with ffmpeg(
@@ -267,6 +316,21 @@ def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[float, f
     (top, bottom), (left, right) = (np.percentile(index, [0.5, 99.5]) for index in (rows, columns))
     h, w = moves.shape
     return left / w, top / h, (right + 1) / w, (bottom + 1) / h
+
+
+def _refuse_tiny(images: UInt8[np.ndarray, "T h w 3"], path: Path) -> None:
+    """Refuse pictures in which the parts that move are hardly a pixel large: no network could find them."""
+    some = images[:: max(1, len(images) // _LOOKED)].astype(np.int16)
+    off = np.max(np.abs(some - np.median(some, axis=0).astype(np.int16)[None]), axis=-1)
+    off = np.maximum(off - 12, 0).reshape(len(off), -1)
+    covered = float(np.median(np.sum(off, axis=1) / np.maximum(np.max(off, axis=1), 1)))
+    if covered < _TINY:
+        size = images.shape[1]
+        needed = 8 * math.ceil(size * math.sqrt(2 * _TINY / max(covered, 0.1)) / 8)
+        raise KeycldError(
+            f"what moves in {path} covers {covered:.1f} pixels of pictures of {size} x {size}, too few to be followed: "
+            f"add --size {needed}, or --crop closer around it."
+        )
 
 
 def _square_around(

@@ -206,8 +206,12 @@ def decode(
     crop: tuple[int, int, int, int] | None,
     skip: float,
     frames: int,
+    mapped: str = "",
 ) -> tuple[int, float]:
-    """Append the recordings uint8 [N, frames, size, size, 3] of a video to a file; return N and frames a second."""
+    """Append the recordings uint8 [N, frames, size, size, 3] of a video to a file; return N and frames a second.
+
+    `mapped` is an ffmpeg filter that comes before the crop, such as `plane_filter`.
+    """
     if not path.is_file():
         raise KeycldError(f"there is no video {path}: check the path.")
     width, height, own, seconds = probe(path)
@@ -217,7 +221,8 @@ def decode(
     left, top, side = _square(crop, width, height, path)
     # The rate comes first: it also makes the uneven frame times of phones equal. A gap of years in them would give
     # frames without end; no format spends less than some bytes on a frame of its own.
-    filters = f"fps={rate},crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
+    before = f"{mapped}," if mapped else ""
+    filters = f"fps={rate},{before}crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
     most, frame, count = 10_000 + path.stat().st_size // 8, size * size * 3, 0
     expected = math.ceil(max(0.0, seconds - skip) * rate)
     progress = Counted(path.name[:12])

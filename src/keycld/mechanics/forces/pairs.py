@@ -42,7 +42,9 @@ class PairForces(AbstractPotentialTerm):
         first, second = np.triu_indices(constraint.dimension // 2, 1)
         if not first.size:
             return None
-        return cls(jnp.zeros((first.size, 3)), jnp.zeros((first.size, 2)), tuple(first.tolist()), tuple(second.tolist()))
+        return cls(
+            jnp.zeros((first.size, 3)), jnp.zeros((first.size, 2)), tuple(first.tolist()), tuple(second.tolist())
+        )
 
     def __call__(self, x: Float[Array, "dim"]) -> Float[Array, ""]:
         """Return the sum over all pairs."""

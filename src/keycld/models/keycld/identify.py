@@ -227,6 +227,12 @@ def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
     return _climb(dynamics, tracks, still)
 
 
+def ahead(dynamics: MechanicalDynamics, tracks: Tracks, given: int) -> jax.Array:
+    """Return the motions `[N, T, 2K]` of given dynamics that fit the first frames of keypoint tracks alone."""
+    still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
+    return _fitted(dynamics, tracks, frames=given, active=still).paths
+
+
 def _fitted(
     dynamics: MechanicalDynamics,
     tracks: Tracks,

@@ -165,6 +165,14 @@ def fit_dynamics(
     return eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5)), data
 
 
+def fit_again(model: Any, data: Resident, *, tried: Tried | None = None) -> tuple[Any, Resident]:
+    """Fit as `fit_dynamics` after unknown pivots and directions were located once more, on all keypoints."""
+    if isinstance(model, KeyCLD):
+        x, _ = observed_keypoints(model, data, FITTED)
+        model = model.located(x.reshape(-1, x.shape[-1]))
+    return fit_dynamics(model, data, tried=tried)
+
+
 def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = FITTED) -> tuple[Any, Resident]:
     """Measure the velocity prior (`VelocityPrior`) on the observed keypoints of training recordings.
 

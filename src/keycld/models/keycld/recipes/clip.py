@@ -1,6 +1,7 @@
 """The preset for short clips of one real motion."""
 
 import dataclasses
+import functools
 from typing import TYPE_CHECKING
 
 from keycld.models.keycld.config import MODELS
@@ -23,6 +24,7 @@ class ClipConfig(FastConfig):
     2. `dynamics`: no steps; identifies the forces that act, and their strength, from the keypoints of the recording.
     3. `joint`, left out where it has no steps.
     4. `prior`: no steps; fits once more. Then the validation score. There is no velocity prior.
+    5. `final`: no steps; nothing is left to choose, so the constants are fitted to training and validation part.
     """
 
     velocity_prior: bool = False
@@ -57,9 +59,9 @@ class ClipConfig(FastConfig):
         return Tried(tuple(friction), self.worth, takes=True, located=True)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return the stages of `fast` with the loss of patches; without `joint` if it has no steps."""
+        """Return the stages of `fast` with the loss of patches and a last fit; without `joint` if it has no steps."""
         from keycld.models.keycld.losses import VisionLoss
-        from keycld.models.keycld.prepare import measure_background
+        from keycld.models.keycld.prepare import fit_again, measure_background
         from keycld.models.keycld.rigid_loss import RigidLoss
 
         vision, *others = super().stages(scene)
@@ -67,4 +69,9 @@ class ClipConfig(FastConfig):
         # All candidates are pulled to what the rendered frames lack: the trial compares them before patches count.
         loss = RigidLoss(vision.alternative, self.rigid, self.patch)
         vision = dataclasses.replace(vision, loss=loss, alternative=None, prepare=measure_background)
-        return vision, *(stage for stage in others if stage.name != "joint" or stage.steps)
+        found = [vision, *(stage for stage in others if stage.name != "joint" or stage.steps)]
+        if self.model != "node2":
+            again = functools.partial(fit_again, tried=self.tried if self.terms is None else None)
+            final = dataclasses.replace(found[-1], name="final", prepare=again, judge=None, validate=False)
+            found.append(dataclasses.replace(final, with_validation=True))
+        return tuple(found)

@@ -1,0 +1,142 @@
+"""Discovery of a mechanism: the candidates that the geometry allows, chosen by what their dynamics predict."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import UInt8
+
+from keycld.mechanics import (
+    AbstractDisplacement,
+    Candidate,
+    ConstrainedLagrangian,
+    Constraints,
+    CoupledMasses,
+    MechanicalDynamics,
+    Rattle,
+    SumPotential,
+    candidates,
+)
+from keycld.models.keycld.identify import Tracks, ahead, identify
+from keycld.vision import moving_parts
+
+RIGID = 0.25
+"""A part whose length varies by a larger share is not one rigid part."""
+GIVEN = 10
+"""Frames from which the validation part is predicted."""
+PREDICTED, PREDICTED_FREE = 0.25, 0.1
+"""A mechanism is identified if this prediction is off by less than this share of the extent of the motion: where each
+keypoint has a constraint that holds, which is evidence too, and where a keypoint is free."""
+EXPLAINED = 0.3
+"""The parts that are followed are at least this share of what moves."""
+# A mechanism with more degrees of freedom must predict so many times better.
+_BETTER = 1.5
+# Below this share of the extent predictions are equally good.
+_CLOSE = 0.01
+
+
+@dataclasses.dataclass(frozen=True)
+class Judged:
+    """A candidate with its evidence.
+
+    Attributes:
+        candidate: keypoints, constraints, and how well they hold.
+        error: root mean square error of the predicted validation part, as a share of the extent of the motion; None
+            where it was not predicted, because the constraints do not hold.
+        chosen: whether it is the answer.
+    """
+
+    candidate: Candidate
+    error: float | None
+    chosen: bool = False
+
+
+def discover(frames: UInt8[np.ndarray, "T H W 3"], fitted: int, dt: float) -> list[Judged]:
+    """Return the mechanisms that the frames of training and validation part may show, as `judge_candidates` does.
+
+    None, if most of what moves belongs to no rigid part: parts are told apart by their colours (`moving_parts`).
+
+    Args:
+        frames: consecutive ones.
+        fitted: so many of them are the training part.
+        dt: seconds between frames.
+    """
+    parts = [part for part in moving_parts(frames) if part.changes < RIGID]
+    if sum(part.area for part in parts) < EXPLAINED:
+        return []
+    tracks, seen = np.stack([part.track for part in parts]), np.stack([part.seen for part in parts])
+    return judge_candidates(candidates(tracks, seen, np.array([part.area for part in parts])), fitted, dt)
+
+
+def judge_candidates(found: list[Candidate], fitted: int, dt: float) -> list[Judged]:
+    """Fit the dynamics of each candidate to the training part, predict the validation part, and choose.
+
+    The law is gravity and viscous friction, with springs where a keypoint slides or is free. Of the candidates whose
+    prediction is nearly as good as the best, the one with the fewest degrees of freedom is chosen; none, if no
+    prediction comes within a quarter of the extent of the motion, or within a tenth where a keypoint is free.
+
+    Args:
+        found: `candidates` of the tracks of training and validation part.
+        fitted: frames of the training part.
+        dt: seconds between frames.
+
+    Returns:
+        The chosen one first, then by the error of the prediction, those whose constraints do not hold at the end.
+    """
+    judged = [Judged(each, _error(each, fitted, dt) if each.holds else None) for each in found]
+    sound = [each for each in judged if each.error is not None and each.error < _limit(each.candidate)]
+    if sound:
+        limit = max(_CLOSE, _BETTER * min(each.error for each in sound if each.error is not None))
+        near = [each for each in sound if each.error is not None and each.error <= limit]
+        best = min(near, key=lambda each: each.candidate.freedom)
+        judged = [dataclasses.replace(each, chosen=each is best) for each in judged]
+
+    def place(each: Judged) -> tuple[bool, bool, float]:
+        return not each.chosen, each.error is None, each.error or max(each.candidate.residuals.values(), default=0.0)
+
+    return sorted(judged, key=place)
+
+
+def _limit(candidate: Candidate) -> float:
+    held = {name for item in candidate.constraints.items for name in item.keypoints}
+    return PREDICTED if held == set(candidate.constraints.keypoints) else PREDICTED_FREE
+
+
+def _error(candidate: Candidate, fitted: int, dt: float) -> float:
+    """Return the error of the predicted validation part, as a share of the extent of the motion."""
+    train, held = candidate.x[:fitted], candidate.x[fitted:]
+    positions = jnp.asarray(train, jnp.float32)
+    constraints = candidate.constraints.located(positions)
+    shared = jnp.mean(jax.vmap(constraints)(positions), axis=0)
+    # A chain's motion is fitted in halves, as the recordings of a clip are: after a while nearby motions part.
+    pieces = 1 if constraints.count < 2 else 2
+    length, given = len(train) // pieces, min(GIVEN, len(held) // 2)
+    shown = min(len(held), length)
+    # In the shape of the training part, so that one program serves both.
+    padded = np.concatenate([held[:shown], np.repeat(held[shown - 1 : shown], length - shown, axis=0)])
+
+    def tracks(x: np.ndarray) -> Tracks:
+        pieced = jnp.asarray(x.reshape(pieces, length, -1), jnp.float32)
+        return Tracks(pieced, jnp.zeros((pieces, 0)), jnp.float32(dt), shared, True)
+
+    law = ConstrainedLagrangian(
+        mass=CoupledMasses.ones(len(constraints.keypoints)),
+        potential=SumPotential(jnp.zeros(constraints.dimension), {}),
+        input_matrix=None,
+        constraint=constraints,
+    )
+    observed = tracks(train[len(train) - pieces * length :])
+    found = identify(MechanicalDynamics(law, Rattle(substeps=2)), observed, pixel=0.0, terms=_forces(constraints))
+    paths = np.asarray(ahead(found.dynamics, tracks(np.tile(padded, (pieces, 1))), given), float)
+    off = (paths[0] - padded)[given:shown]
+    extent = np.sqrt(np.mean(np.sum((train - train.mean(axis=0)) ** 2, axis=1)))
+    error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))) / extent)
+    return error if np.isfinite(error) else float("inf")
+
+
+def _forces(constraints: Constraints) -> tuple[str, ...]:
+    hinges = [item for item in constraints.items if isinstance(item, AbstractDisplacement) and item.normal is None]
+    hinged = {name for item in hinges for name in item.keypoints}
+    turning = hinged == set(constraints.keypoints) and len(hinges) == constraints.count
+    return ("viscous",) if turning else ("springs", "viscous")
