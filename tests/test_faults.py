@@ -63,6 +63,32 @@ def test_what_a_dead_process_left_is_removed_and_a_living_one_keeps_its_own(tmp_
     assert sorted(os.listdir(tmp_path)) == sorted(["a", *names[2:]])
 
 
+def test_a_bench_run_that_was_killed_at_its_first_file_is_not_moved_aside(tmp_path):
+    from keycld.benchmarks.child import _set_aside
+
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    (tmp_path / "run" / f".bench.json.{dead.pid}@{os.uname().nodename}.partial").mkdir(parents=True)
+    _set_aside(tmp_path / "run", "")
+    assert [path.name for path in tmp_path.rglob("*")] == ["run"]
+
+
+def test_a_bench_run_that_was_killed_before_its_verdict_gets_one(tmp_path, monkeypatch):
+    import keycld.training
+    from keycld.benchmarks import Place, child, suite_named
+    from keycld.training.run_files import write_verdict
+
+    place, experiment = Place(tmp_path, tmp_path / "results"), suite_named("keycld").select()[0]
+    calls = []
+    monkeypatch.setattr(keycld.training, "finished", lambda run: True, raising=False)
+    monkeypatch.setattr(keycld.training, "train", lambda *arguments, **options: calls.append(arguments), raising=False)
+    child.train_model(experiment, place)
+    place.run(experiment).mkdir(parents=True)
+    write_verdict(place.run(experiment), [], passed=True)
+    child.train_model(experiment, place)
+    assert len(calls) == 1
+
+
 @pytest.fixture
 def small_files():
     """No file may become larger than 20 kB, as on a disk that fills up."""
@@ -170,6 +196,18 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
         read_arrays(tmp_path / "a.npz", {}, "make it again")
 
 
+def test_damage_is_reported_under_the_name_of_its_file(tmp_path):
+    from keycld.evaluation import load_evaluation, save_evaluation
+    from keycld.evaluation.outcome import Evaluation
+
+    save_evaluation(tmp_path, "sweeps", Evaluation({}, {"names": np.array(["turn"])}))
+    with pytest.raises(KeycldError, match=r"sweeps\.npz is damaged"):
+        load_evaluation(tmp_path, "sweeps")
+    (tmp_path / "evaluation/sweeps.json").write_text('{"protocol": 1}')
+    with pytest.raises(KeycldError, match=r"sweeps\.json is damaged"):
+        load_evaluation(tmp_path, "sweeps")
+
+
 def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path):
     """Each ended in an error that nothing foresaw."""
     from keycld.benchmarks.results import Result
@@ -198,6 +236,9 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
     with pytest.raises((Unexpected, KeyError)):
         check_arrays({}, {"turn/values": np.zeros(1)})
+    motion = {"skeleton": {}, "n": 1, "frames": 3, "keypoints": ["tip"], "baselines": {}}
+    with pytest.raises(Unexpected, match="observed_course"):
+        check_arrays(motion, {"shown_index": np.zeros(1, int), "observed_course": np.zeros((3, 1, 2))})
     for name, fits in (("1", True), ("0.25", True), ("<script>", False), ("nan", False), ("-1", False)):
         assert _is_checked({name: 1.0}, dict[NumberText, float]) == fits
     with pytest.raises(KeycldError, match="not finite"):

@@ -6,6 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
+from keycld import KeycldError
 from keycld.cli.main import main
 from keycld.cli.watch import given, scale_of
 from keycld.drawing import save_movie
@@ -142,6 +143,22 @@ def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeyp
             "chosen": False,
         }
     ]
+
+
+def test_the_data_of_another_process_stay(tmp_path, monkeypatch, capsys):
+    """It began at the same time and was faster: this one found no folder, and is refused at the end of its import."""
+    import keycld.data
+
+    def refused(clips, folder, **options):
+        folder.mkdir(parents=True)
+        (folder / "train.h5").touch()
+        raise KeycldError(f"{folder} already holds data")
+
+    monkeypatch.setattr(keycld.data, "import_clip", refused, raising=False)
+    video(tmp_path / "swing.mp4", swing(2))
+    assert main(words(tmp_path)) == 2
+    assert "already holds data" in capsys.readouterr().err
+    assert (tmp_path / "run" / "data" / "train.h5").exists()
 
 
 def _texture():

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+from validation.faults.originals import WATCH
+
 
 class Target(NamedTuple):
     """A file to damage, and the arguments of the verbs that read it; `{work}` stands for the folder of the case.
@@ -23,10 +25,14 @@ _RESUME = ("train", "{work}/data", "--config", "{work}/half/config.json", "--out
 _REPORT = ("report", "{work}/run")
 _PREDICT = ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/out.h5")
 _RENDER = ("predict", "{work}/run", "--data", "{work}/states/test.h5", "--out", "{work}/out.h5")
-_CONTROL = ("control", "{work}/run", "--goal", "{work}/goal.png", "--seconds", "0.1")
+_CONTROL = ("control", "{work}/packaged", "--goal", "{work}/upright.png", "--seconds", "0.1", "--workers", "1")
 _MJCF = ("export", "{work}/run", "--to", "mjcf", "--out", "{work}/out.xml")
-_TRACKS = ("export", "{work}/run", "--to", "csv", "--data", "{work}/data", "--split", "test", "--out", "{work}/out.csv")
-_IDENTIFY = ("identify", "{work}/log.csv", "--mechanism", "pendulum", "--out", "{work}/identified")
+_TEST = ("--data", "{work}/data", "--split", "test")
+_TRACKS = tuple(("export", "{work}/run", "--to", to, *_TEST, "--out", "{work}/out") for to in ("csv", "lerobot"))
+_LOG = ("identify", "{work}/log.csv", "--out", "{work}/identified", "--mechanism")
+_WATCH = ("watch", "{work}/clip.mp4", "--mechanism", "pendulum", "--size", "16", "--set", *WATCH, "--out")
+_WATCHED = ("report", "{work}/watched")
+_CLIP = ("predict", "{work}/watched", "--data", "{work}/clip.mp4", "--given", "10", "--out", "{work}/out.h5")
 _CHECK = ("data", "check", "{work}/data")
 _SHOW = ("data", "show", "{work}/data", "--out", "{work}/out.gif", "--scale", "1")
 _STATES = (("data", "check", "{work}/states"), ("data", "show", "{work}/states", "--out", "{work}/out.gif"))
@@ -39,6 +45,9 @@ _STATUS = ("bench", "status", "keycld", *_BENCH)
 _TABLE = ("bench", "table", "keycld", *_BENCH, "--out", "{work}/out")
 _FIGURES = ("bench", "figures", "keycld", *_BENCH, "--out", "{work}/out")
 _PAGE = ("bench", "report", "keycld", *_BENCH, "--out", "{work}/out")
+_PRIORS = ("priors", "--root", "{work}/bench", "--results", "{work}/results", "--systems", "toy/pendulum", "--models",
+           "ar", "--seeds", "0")  # fmt: skip
+_BOARD = tuple(("bench", verb, *_PRIORS, "--out", "{work}/out") for verb in ("table", "figures", "report"))
 
 
 def _video(name: str) -> tuple[str, ...]:
@@ -65,15 +74,15 @@ TARGETS = (
     Target("data/statistics.json", 6, (_CHECK, _SHOW)),
     Target("states/statistics.json", 6, (*_STATES, _MAKE)),
     Target("data/constraints.toml", 8, ((*_TRAIN, *_TOML), (*_video("swing.mp4"), *_TOML))),
-    Target("run/config.json", 15, (_REPORT, _PREDICT, _TRAIN, _EVAL, _CONTROL), (_METRICS, *_RESULTS)),
+    Target("run/config.json", 15, (_REPORT, _PREDICT, _TRAIN, _EVAL, _MJCF), (_METRICS, *_RESULTS)),
     Target("run/metrics.jsonl", 1, (_REPORT, _TRAIN), _RESULTS),
     Target("run/environment.json", 5, (_REPORT,), (_METRICS, *_RESULTS)),
-    Target("run/verdict.json", 2, (_CONTROL, _PREDICT, _EVAL)),
-    Target("run/checkpoints/latest", 6, (_PREDICT, _EVAL, _CONTROL)),
+    Target("run/verdict.json", 2, (_MJCF, _PREDICT, _EVAL)),
+    Target("run/checkpoints/latest", 6, (_PREDICT, _EVAL, _MJCF)),
     Target("run/checkpoints/latest", 1, (_TRAIN,)),
-    Target("run/checkpoints/C/position.json", 6, (_PREDICT, _EVAL, _CONTROL)),
+    Target("run/checkpoints/C/position.json", 6, (_PREDICT, _EVAL, _MJCF)),
     Target("run/checkpoints/C/position.json", 2, (_TRAIN,)),
-    Target("run/checkpoints/C/weights.safetensors", 6, (_PREDICT, _EVAL, _CONTROL)),
+    Target("run/checkpoints/C/weights.safetensors", 6, (_PREDICT, _EVAL, _MJCF)),
     Target("run/checkpoints/C/weights.safetensors", 2, (_TRAIN,)),
     Target("half/checkpoints/C/state.safetensors", 1, (_RESUME,)),
     Target("half/config.json", 6, (_RESUME,)),
@@ -89,11 +98,24 @@ TARGETS = (
     Target("matching_pennies/train.tfrecord", 8, (_SUITE,)),
     Target("results/keycld/fast/pendulum-keycld-0.json", 12, (_STATUS, _TABLE, _FIGURES, _PAGE)),
     Target("results/keycld/fast/pendulum-keycld-1.failed.json", 6, (_STATUS, _TABLE)),
-    Target("goal.png", 5, (_CONTROL,)),
-    Target("log.csv", 4, (_IDENTIFY,)),
-    Target("run/evaluation/physics.json", 4, (_REPORT, _MJCF), (_METRICS, *_RESULTS)),
-    Target("run/checkpoints/C/weights.safetensors", 2, (_MJCF, _TRACKS)),
-    Target("data/test.h5", 2, (_TRACKS,)),
+    Target("results/priors/fast/toy/pendulum-ar-0.json", 6, _BOARD),
+    Target("upright.png", 4, (_CONTROL,)),
+    Target("packaged/config.json", 4, (_CONTROL,)),
+    Target("packaged/checkpoints/latest", 2, (_CONTROL,)),
+    Target("packaged/checkpoints/C/position.json", 2, (_CONTROL,)),
+    Target("packaged/checkpoints/C/weights.safetensors", 4, (_CONTROL,)),
+    Target("log.csv", 4, ((*_LOG, "pendulum"),)),
+    Target("data/constraints.toml", 3, ((*_LOG, "{work}/data/constraints.toml"),)),
+    Target("run/evaluation/physics.json", 6, (_REPORT, _MJCF), (_METRICS, *_RESULTS)),
+    Target("run/checkpoints/C/weights.safetensors", 3, (*_TRACKS, _MJCF)),
+    Target("data/test.h5", 2, _TRACKS),
+    Target("clip.mp4", 2, ((*_WATCH, "{work}/new"), _CLIP)),
+    Target("watched/watch.json", 2, ((*_WATCH, "{work}/watched"),)),
+    Target("watched/data/train.h5", 1, ((*_WATCH, "{work}/watched"),)),
+    Target("watched/data/statistics.json", 2, ((*_WATCH, "{work}/watched"), _CLIP)),
+    Target("watched/evaluation/motion.json", 4, (_WATCHED,)),
+    Target("watched/evaluation/motion.npz", 4, (_WATCHED,)),
+    Target("watched/evaluation/physics.json", 3, (_WATCHED,)),
 )  # fmt: skip
 ROUND = [(target, turn) for target in TARGETS for turn in range(target.share)]
 

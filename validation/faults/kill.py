@@ -2,9 +2,10 @@
 
 `python -m validation.faults.kill --work FOLDER` after `fuzz`, which makes the whole files in FOLDER. Before each event
 that changes files, of the verb or a Python process that it starts, the folder is copied as it is: what signal 9 would
-leave there. From each copy the same command must give the files of a run that was not killed. `--limit` lets every
-file end at some sizes instead, as on a full disk, and `--disk` gives a disk in memory that is read-only or has little
-room left (for an administrator only). Both must be told in one sentence, and leave no half files.
+leave there. From each copy the same command must give the files of a run that was not killed, as far as two such runs
+give the same. Copies that no later process can tell apart are one state. `--limit` lets every file end at some sizes
+instead, as on a full disk, and `--disk` gives a disk in memory that is read-only or has little room left (for an
+administrator only). Both must be told in one sentence, and leave no half files.
 """
 
 import argparse
@@ -12,13 +13,15 @@ import hashlib
 import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
-from validation.faults.fuzz import REPOSITORY, Worker, prepare
+from validation.faults.fuzz import REPOSITORY, Worker, exit_code, prepare
+from validation.faults.originals import DEMO, WATCH
 
 HOOK = Path(__file__).parent / "hook"
 
@@ -26,11 +29,14 @@ HOOK = Path(__file__).parent / "hook"
 _TIMED = ("statistics.json", "environment.json", "metrics.jsonl", "README.md", "config.json", "position.json",
           "bench.json", "bench.log", "bench.lock", "table.md", "pendulum-ar-0.json",
           "pendulum-ar-0.failed.json")  # fmt: skip
+# A closed loop runs in real time: a step that misses its period holds the last input.
+_REAL_TIME = "control-upright"
 # What names the newest of several whole things.
 _POINTER = "latest"
 _BENCH = ("keycld", "--root", "{work}/bench", "--results", "{work}/results", "--systems", "pendulum", "--models",
           "keycld", "--seeds", "0", "--out", "{work}/new")  # fmt: skip
 _COUNTS = ("--train", "4", "--validation", "2", "--test", "2", "--long", "1")
+_TEST = ("--data", "{work}/data", "--split", "test")
 VERBS: dict[str, tuple[str, ...]] = {
     "import of a video": ("data", "import", "{work}/swing.mp4", "--out", "{work}/new", "--size", "8", "--frames", "5"),
     "import of a suite": ("data", "import", "{work}/matching_pennies", "--out", "{work}/new"),
@@ -40,15 +46,25 @@ VERBS: dict[str, tuple[str, ...]] = {
     "data make of MuJoCo": ("data", "make", "pendulum", "--out", "{work}/new", *_COUNTS, "--workers", "1"),
     "train": ("train", "{work}/data", "--config", "{work}/half/config.json", "--out", "{work}/new", "--log-every", "2",
               "--checkpoint-seconds", "0"),
+    "train of KeyCLD": ("train", "{work}/data", "--config", "{work}/run/config.json", "--out", "{work}/new",
+                        "--log-every", "2", "--checkpoint-seconds", "0"),
     "eval": ("eval", "{work}/run", "--data", "{work}/data", "--protocols", "test@10"),
     "predict": ("predict", "{work}/run", "--data", "{work}/data/test.h5", "--out", "{work}/new/out.h5"),
+    "control": ("control", "{work}/packaged", "--seconds", "0.1", "--workers", "1", "--out", "{work}/run"),
+    "identify": ("identify", "{work}/log.csv", "--mechanism", "pendulum", "--out", "{work}/run"),
+    "export to mjcf": ("export", "{work}/run", "--to", "mjcf"),
+    "export to csv": ("export", "{work}/run", "--to", "csv", *_TEST),
+    "export to mujoco-sysid": ("export", "{work}/run", "--to", "mujoco-sysid", *_TEST),
+    "export to lerobot": ("export", "{work}/run", "--to", "lerobot", *_TEST),
+    "watch": ("watch", "{work}/clip.mp4", "--mechanism", "pendulum", "--size", "16", "--out", "{work}/new", "--set",
+              *WATCH),
+    "demo": ("demo", "{work}/mujoco", "--out", "{work}/begun", "--set", *DEMO),
     "report": ("report", "{work}/run"),
     "bench run": ("child", "{work}/bench", "{work}/results"),
     "bench table": ("bench", "table", *_BENCH),
     "bench figures": ("bench", "figures", *_BENCH),
     "bench report": ("bench", "report", *_BENCH),
 }  # fmt: skip
-_PROGRAM = "import sys; from validation.faults.fuzz import exit_code; sys.exit(exit_code(sys.argv[1:]))"
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -56,19 +72,21 @@ def contents(folder: Path) -> dict[str, str]:
     found = {}
     for path in sorted(folder.rglob("*")):
         hidden = any(part.startswith(".") for part in path.relative_to(folder).parts)
-        if path.is_file() and not hidden and path.name not in _TIMED:
+        if path.is_file() and not hidden and path.name not in _TIMED and not path.name.startswith(_REAL_TIME):
             found[str(path.relative_to(folder))] = hashlib.sha256(path.read_bytes()).hexdigest()
     return found
 
 
 def everything(folder: Path) -> str:
-    """Return the hash of all files and folders, without the numbers of processes in names."""
-    found = hashlib.sha256()
-    for path in sorted(folder.rglob("*")):
-        found.update(re.sub(r"\.\d+@[^/]*\.partial", ".partial", str(path.relative_to(folder))).encode())
-        if path.is_file():
-            found.update(path.read_bytes())
-    return found.hexdigest()
+    """Return the hash of all that a later process can tell apart.
+
+    It removes the hidden folder of a dead process without looking at its number or contents.
+    """
+    found = set()
+    for path in folder.rglob("*"):
+        name, hidden = re.subn(r"\.\d+@[^/]*\.partial(/.*)?", ".partial", str(path.relative_to(folder)))
+        found.add((name, path.read_bytes() if path.is_file() and not hidden else b""))
+    return hashlib.sha256(repr(sorted(found)).encode()).hexdigest()
 
 
 def fresh(base: Path) -> Path:
@@ -80,56 +98,70 @@ def fresh(base: Path) -> Path:
     return outer
 
 
-def kills(base: Path, name: str, limit: float, every: int = 1) -> dict[str, Any]:
-    """Copy the folder at each event of a verb, and compare what a call of it makes of every n-th different copy."""
+def kills(base: Path, name: str, limit: float, most: int) -> dict[str, Any]:
+    """Copy the folder at each event of a verb, and compare what a call of it makes of each state, or of some."""
     outer, copies = fresh(base), base / "copies"
     work = outer / "work"
     words = [word.replace("{work}", str(work)) for word in VERBS[name]]
     before = contents(work)
     shutil.rmtree(copies, ignore_errors=True)
     copies.mkdir()
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join([str(HOOK), str(REPOSITORY), *sys.path]),
-                                "FAULTS_WORK": str(work), "FAULTS_COPIES": str(copies)}  # fmt: skip
-    subprocess.run(
-        [sys.executable, "-c", _PROGRAM, *words], cwd=outer, env=environment, check=True, capture_output=True
-    )
+    _recorded(words, outer, copies)
     expected, moments = contents(work), sorted(copies.iterdir())
-    found = {
-        "kills": len(moments),
-        "states": 0,
-        "continued": 0,
-        "absent": 0,
-        "lost": 0,
-        "half": 0,
-        "different_after_resuming": 0,
-    }
-    worker, seen = Worker(base), set()
+    states: dict[str, Path] = {}
     for moment in moments:
+        states.setdefault(everything(moment), moment)
+    chosen = list(states.values())
+    if most < len(chosen):
+        chosen = [chosen[k * (len(chosen) - 1) // (most - 1)] for k in range(most)]
+    fresh(base)
+    worker = Worker(base)
+    worker.run(words, outer, limit)
+    whole = contents(work)
+    varies = {path for path in {**whole, **expected} if whole.get(path) != expected.get(path)}
+    remains = [contents(moment) for moment in states.values()]
+    found: dict[str, Any] = {
+        "kills": len(moments), "states": len(states), "continued": len(chosen),
+        "absent": sum(any(path not in left for path in before) for left in remains), "lost": 0,
+        "half": sum(len(set(_half(left, before, expected)) - varies) for left in remains),
+        "different_after_resuming": 0, "varies": sorted(varies),
+    }  # fmt: skip
+    for moment in chosen:
         shutil.rmtree(work)
         moment.rename(work)
-        left, state = contents(work), everything(work)
-        if state in seen:
-            continue
-        seen.add(state)
-        found["absent"] += any(path not in left for path in before)
-        found["half"] += len(_half(left, before, expected))
-        if len(seen) % every:
-            continue
-        found["continued"] += 1
         worker = worker if worker.alive else Worker(base)
         again = worker.run(words, outer, limit)
         orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
         after = contents(work)
         found["lost"] += any(path not in after for path in before)
-        different = sorted(path for path in {**after, **expected} if after.get(path) != expected.get(path))
+        different = [path for path in {**after, **expected} if after.get(path) != expected.get(path)]
+        different = [path for path in different if path not in varies or path not in after]
         done = again["exit"] == 0 or "already holds data" in again["said"]
         if not done or different or orphans or again["faults"]:
             found["different_after_resuming"] += 1
             print(name, moment.name, again, different, orphans, file=sys.stderr, flush=True)
-    found["states"] = len(seen)
     if worker.alive:
         worker.end()
     return found
+
+
+def _recorded(words: list[str], outer: Path, copies: Path) -> None:
+    """Run a verb in a forked process that copies the folder, and so does each Python that it starts."""
+    child = os.fork()
+    if child == 0:
+        # Processes get the path from the environment, or from their parent's `sys.path`.
+        sys.path[:0] = [str(HOOK), str(REPOSITORY)]
+        os.environ |= {"PYTHONPATH": os.pathsep.join(sys.path), "FAULTS_WORK": str(outer / "work"),
+                       "FAULTS_COPIES": str(copies)}  # fmt: skip
+        runpy.run_path(str(HOOK / "sitecustomize.py"))
+        os.chdir(outer)
+        nothing = os.open(os.devnull, os.O_RDWR)
+        for place in range(3):
+            os.dup2(nothing, place)
+        os._exit(exit_code(words))
+    _, status = os.waitpid(child, 0)
+    if status:
+        raise SystemExit(f"{' '.join(words)} ends with {os.waitstatus_to_exitcode(status)} on whole files.")
 
 
 def _half(left: dict[str, str], *whole: dict[str, str]) -> list[str]:
@@ -211,7 +243,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, required=True)
     parser.add_argument("--verbs", nargs="*", default=list(VERBS))
-    parser.add_argument("--every", type=int, default=1, help="continue only every n-th copy, where a verb is slow")
+    parser.add_argument("--most", type=int, default=10**6, help="states to continue, at least 2, where a verb is slow")
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--limit", action="store_const", dest="way", const=full)
     way.add_argument("--disk", action="store_const", dest="way", const=disks)
@@ -220,7 +252,7 @@ def main() -> None:
     base = options.work.resolve()
     prepare(base)
     for name in options.verbs:
-        found = options.way(base, name, 120.0, *([options.every] if options.way is kills else []))
+        found = options.way(base, name, 120.0, *([options.most] if options.way is kills else []))
         print(json.dumps({name: found}), flush=True)
 
 

@@ -1,5 +1,6 @@
 """One whole file of every kind that the campaign damages."""
 
+import contextlib
 import json
 import shutil
 import sys
@@ -9,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from keycld.benchmarks import Experiment
 
 # Any pose will do as a goal: the model is hardly trained.
@@ -25,13 +28,24 @@ AR: dict[str, Any] = {
     "steps": 4,
 }
 """Settings of a recurrent model whose steps are cheap."""
+WATCH = ("width=8", "substeps=1", "vision.steps=150", "vision.candidates=1", "vision.batch=8", "vision.worst=1e9",
+         "dynamics.worst=1e9", "terms=viscous,")  # fmt: skip
+"""Settings of the preset clip that train in seconds."""
+DEMO = ("width=8", "groups=2", "terms=viscous,", "vision.steps=6", "vision.candidates=1", "vision.batch=4",
+        "vision.worst=1e9", "dynamics.steps=6", "dynamics.batch=4", "dynamics.horizons=5,6", "dynamics.worst=1e9",
+        "joint.steps=6", "joint.horizons=6,8")  # fmt: skip
+"""Settings of the preset fast that train in seconds."""
 
 
 def make_originals(folder: Path, repository: Path) -> None:
     """Make a small data set, a trained and a half trained run with results, videos, a suite, results of a bench."""
+    from keycld._compile_cache import use_compile_cache
+
+    use_compile_cache()
     sys.path.insert(0, str(repository / "tests"))
     data_set(folder)
     trained_run(folder)
+    lawful(folder)
     half_run(folder)
     controlled(folder)
     states(folder)
@@ -39,6 +53,9 @@ def make_originals(folder: Path, repository: Path) -> None:
     rig(folder)
     shutil.copytree(repository / "tests/data/golden/tfrecord/matching_pennies", folder / "matching_pennies")
     bench(folder, repository)
+    packaged(folder)
+    begun_demo(folder)
+    watched(folder)
 
 
 def data_set(folder: Path) -> None:
@@ -102,6 +119,16 @@ def trained_run(folder: Path) -> None:
     save_evaluation(folder / "run", "sweeps", Evaluation({"potential_range": {"turn": 4.0}}, arrays))
 
 
+def lawful(folder: Path) -> None:
+    """Give the run the law of a pendulum, which can be exported: after some steps its friction gives energy."""
+    from safetensors.numpy import load_file, save_file
+
+    path = folder / "run/checkpoints/C/weights.safetensors"
+    law = {"initial_state.constants": [0.36], "dynamics.law.potential.weight": [0.0, 5.0],
+           "dynamics.law.dissipation.terms.viscous.coefficients": [[0.1]]}  # fmt: skip
+    save_file(load_file(path) | {name: np.array(value, np.float32) for name, value in law.items()}, path)
+
+
 def half_run(folder: Path) -> None:
     """Train the recurrent model, and go back to the checkpoint in the middle, with the state of the optimiser."""
     from keycld.models import config_for
@@ -163,6 +190,56 @@ def pictures(folder: Path) -> None:
         save_movie(folder / name, movie, fps=25, scale=1)
 
 
+def packaged(folder: Path) -> None:
+    """Unpack the package's pendulum: the small models of the others control nothing."""
+    from keycld.control.swing_up import upright_picture
+    from keycld.drawing import save_image
+    from keycld.systems import get
+    from keycld.training import run_folder
+    from keycld.training.checkpoints import latest_checkpoint
+
+    with contextlib.chdir(folder):
+        run_folder("pendulum").rename("packaged")
+    (folder / "runs/.pendulum-pretrained.lock").unlink()
+    (folder / "runs").rmdir()
+    newest = latest_checkpoint(folder / "packaged")
+    assert newest is not None
+    newest.rename(newest.with_name("C"))
+    (folder / "packaged/checkpoints/latest").write_text("C")
+    save_image(folder / "upright.png", upright_picture(get("pendulum")))
+
+
+def begun_demo(folder: Path) -> None:
+    """Make data in MuJoCo, and the run of a demo up to the middle of its training."""
+    from keycld.cli.settings import parse_setting
+    from keycld.data import make_data
+    from keycld.models import config_for
+    from keycld.training import train
+
+    make_data("pendulum", folder / "mujoco", runs={"train": 4, "validation": 2, "test": 2}, workers=1)
+    run, settings = folder / "begun", config_for("keycld", "fast", **dict(parse_setting(text) for text in DEMO))
+    train(folder / "mujoco", run, settings, log_every=2, checkpoint_seconds=0.0, keep=99)
+    stages = sorted((run / "checkpoints").glob("*-*"))
+    for path in stages[len(stages) // 2 :]:
+        shutil.rmtree(path)
+    (run / "checkpoints/latest").write_text(stages[len(stages) // 2 - 1].name)
+    (run / "verdict.json").unlink()
+    _json(run / "config.json", _loaded(run / "config.json") | {"epsilon": _EPSILON})
+
+
+def watched(folder: Path) -> None:
+    """Make a clip of a swing, and what `watch` makes of it."""
+    from cli.test_watch import swing, video  # pyright: ignore[reportMissingImports]
+    from keycld.cli.main import main
+
+    video(folder / "clip.mp4", swing())
+    code = main(["watch", str(folder / "clip.mp4"), "--mechanism", "pendulum", "--size", "16", "--out",
+                 str(folder / "watched"), "--set", *WATCH])  # fmt: skip
+    assert code == 0
+    # As seen from the folder of a case.
+    _json(folder / "watched/config.json", _loaded(folder / "watched/config.json") | {"data": "work/watched/data"})
+
+
 def rig(folder: Path) -> None:
     """Make the log of a pendulum with a motor, and physical constants of the run as `identify` stores them."""
     from keycld.evaluation import save_physics
@@ -190,10 +267,25 @@ def bench(folder: Path, repository: Path) -> None:
 
     (folder / _RESULT).parent.mkdir(parents=True)
     done, failed = suite_named("keycld").select(systems=("pendulum",), models=("keycld",), seeds=(0, 1))
-    _json(folder / _RESULT, _loaded(repository / _RESULT) | {"config_hash": done.hash()})
+    result = _loaded(repository / _RESULT)
+    _json(folder / _RESULT, result | {"config_hash": done.hash()})
     small = small_experiment()
     small.data.make(Place(folder / "bench", folder / "results").data(small))
-    record_failure(failed, Place(folder / "bench", folder / "results"), "training", "KeycldError", "no")
+    place = Place(folder / "bench", folder / "results")
+    record_failure(failed, place, "training", "KeycldError", "no")
+    [prior] = suite_named("priors").select(systems=("toy/pendulum",), models=("ar",), seeds=(0,))
+    named = {each.name: _scored(result["scores"]["test@50"], each.thresholds) for each in prior.protocols}
+    curves = dict.fromkeys(named, result["curves"]["test@50"])
+    place.result(prior).parent.mkdir(parents=True)
+    _json(place.result(prior), result | {"config_hash": prior.hash(), "scores": named, "curves": curves})
+
+
+def _scored(scores: dict, thresholds: "Sequence[float]") -> dict:
+    """Return the scores as those of the suite `priors`, at these thresholds."""
+    names = [f"{each:g}" for each in thresholds]
+    baselines = {name: dict.fromkeys(names, 0.2) for name in scores["baselines"]}
+    vpt = dict.fromkeys(names, next(iter(scores["vpt"].values())))
+    return {**scores, "vpt": vpt, "baselines": baselines, "table_units": {"train": 1.0, "extrapolation": 2.0}}
 
 
 def small_experiment() -> "Experiment":

@@ -14,10 +14,14 @@ from pathlib import Path
 from typing import Any
 
 from validation.faults.fuzz import Worker, prepare
-from validation.faults.kill import VERBS, fresh
+from validation.faults.kill import VERBS as WRITERS
+from validation.faults.kill import fresh
+from validation.faults.signals import ALSO
 
 # Those whose writing is that of another one are left out.
-_VERBS = [name for name in VERBS if name not in ("data make of a toy", "bench figures")]
+_LEFT_OUT = ("data make of a toy", "train of KeyCLD", "bench figures", "export to mjcf", "export to mujoco-sysid",
+             "export to lerobot", "models", "info", "bench status")  # fmt: skip
+VERBS = {name: words for name, words in {**WRITERS, **ALSO}.items() if name not in _LEFT_OUT}
 
 
 def together(base: Path, workers: list[Worker], names: tuple[str, str], limit: float) -> dict[str, Any]:
@@ -46,13 +50,16 @@ def main() -> None:
     """Print each pair, and how many ended in which way."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--work", type=Path, required=True)
-    parser.add_argument("--verbs", nargs="*", default=_VERBS)
+    parser.add_argument("--verbs", nargs="*", default=list(VERBS))
+    parser.add_argument("--with", nargs="*", dest="others", help="only pairs with one of these verbs")
     options = parser.parse_args()
     base = options.work.resolve()
     prepare(base)
     workers = [Worker(base), Worker(base)]
     done = []
     for names in itertools.combinations_with_replacement(options.verbs, 2):
+        if options.others is not None and not set(names) & set(options.others):
+            continue
         done.append(together(base, workers, names, 120.0))
         print(json.dumps(done[-1]), flush=True)
     for worker in workers:

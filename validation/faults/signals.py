@@ -3,11 +3,12 @@
 `python -m validation.faults.signals --work FOLDER --tries 20` after `fuzz`, which makes the whole files in FOLDER. A
 process in which everything is imported already is forked for each try, so that the moments, which are random over the
 time that the verb takes, are those of its work; `tests/test_faults.py` interrupts the import. Each try must end with
-code 130 or 143 (or as ever where the verb was faster), soon, and without a traceback. After the last try the same
-command must do its work with what the try has left.
+code 130 or 143, soon, without a traceback, and without a process that goes on; one in which the verb was faster is
+repeated. After the last try the same command must do its work with what the try has left.
 """
 
 import argparse
+import contextlib
 import json
 import math
 import os
@@ -18,20 +19,16 @@ import time
 from collections import Counter
 from pathlib import Path
 from random import Random
-from typing import Any
 
 from validation.faults.fuzz import Worker, exit_code, prepare
 from validation.faults.kill import VERBS, fresh
 
 ALSO: dict[str, tuple[str, ...]] = {
     "data check": ("data", "check", "{work}/data"),
-    "control": ("control", "{work}/run", "--goal", "{work}/goal.png", "--seconds", "0.1"),
     "models": ("models",),
     "info": ("info",),
     "bench status": ("bench", "status", "keycld", "--root", "{work}/bench", "--results", "{work}/results"),
 }
-# What ends with code 2 on whole files, see `originals`.
-_REFUSED = ("control",)
 _SOON = 5.0
 
 
@@ -79,12 +76,15 @@ def waited(child: int, listening: int, seconds: float) -> tuple[int | None, byte
         time.sleep(0.01)
 
 
-def attempt(words: list[str], outer: Path, number: signal.Signals, pause: float) -> tuple[str, float]:
-    """Return the code of one try, or what is wrong with its end; and how long the end took."""
+def attempt(words: list[str], outer: Path, number: signal.Signals, pause: float) -> tuple[str | None, float]:
+    """Return the code of one try, or what is wrong with its end; and how long the end took.
+
+    The code is None if the verb was faster than the signal.
+    """
     child, listening = begun(words, outer)
     code, said = waited(child, listening, pause)
-    since = time.monotonic()
-    if code is None:
+    since, late = time.monotonic(), code is not None
+    if not late:
         os.kill(child, number)
         code, more = waited(child, listening, 8 * _SOON)
         said += more
@@ -93,33 +93,54 @@ def attempt(words: list[str], outer: Path, number: signal.Signals, pause: float)
         os.waitpid(child, 0)
     os.close(listening)
     took = time.monotonic() - since
-    return ("hang" if code is None else "traceback" if b"Traceback" in said else str(code)), took
+    until = time.monotonic() + _SOON
+    while (left := left_behind(outer)) and time.monotonic() < until:
+        time.sleep(0.05)
+    verdicts = {"hang": code is None, "traceback": b"Traceback" in said, "left a process": left}
+    wrong = next((verdict for verdict, holds in verdicts.items() if holds), "")
+    return (wrong or (None if late else str(code))), took
 
 
-def tries(base: Path, name: str, number: signal.Signals, count: int, random: Random) -> dict[str, Any]:
-    """Interrupt a verb at random moments, each time with the whole files; a whole run continues what the last left."""
-    outer = fresh(base)
-    words = [word.replace("{work}", str(outer / "work")) for word in {**VERBS, **ALSO}[name]]
-    ends, longest, whole = Counter(), 0.0, math.inf
+def left_behind(outer: Path) -> bool:
+    """Tell whether a process still works in a folder."""
+    for place in Path("/proc").glob("[0-9]*/cwd"):
+        with contextlib.suppress(OSError):
+            if place.readlink() == outer:
+                return True
+    return False
+
+
+def usual_seconds(base: Path, words: list[str]) -> float:
+    """Return how long a verb takes on whole files."""
+    whole = math.inf
     for _ in range(2):  # the first call may have to compile
         since = time.monotonic()
         child, listening = begun(words, fresh(base))
         waited(child, listening, 300.0)
         os.close(listening)
         whole = min(whole, time.monotonic() - since)
-    for _ in range(count):
+    return whole
+
+
+def tries(base: Path, words: list[str], number: signal.Signals, count: int, whole: float, random: Random) -> dict:
+    """Interrupt a verb at random moments, each time with the whole files; a whole run continues what the last left."""
+    outer = fresh(base)
+    ends, longest = Counter(), 0.0
+    for _ in range(3 * count):
         shutil.rmtree(outer / "work", ignore_errors=True)
         shutil.copytree(base / "original", outer / "work")
         end, took = attempt(words, outer, number, random.uniform(0.0, whole))
-        ends[end] += 1
-        longest = max(longest, took)
+        if end is not None:
+            ends[end] += 1
+            longest = max(longest, took)
+        if ends.total() == count:
+            break
     worker = Worker(base)
     again = worker.run(words, outer, 120.0)
     if worker.alive:
         worker.end()
-    wanted = (0, 2) if name in _REFUSED else (0,)
     found = {"seconds": round(whole, 2), "ends": dict(ends), "slowest_end": round(longest, 2)}
-    done = again["exit"] in wanted or "already holds data" in again["said"]
+    done = again["exit"] == 0 or "already holds data" in again["said"]
     return found | ({} if done and not again["faults"] else {"not_resumed": again})
 
 
@@ -132,10 +153,11 @@ def main() -> None:
     options = parser.parse_args()
     base = options.work.resolve()
     prepare(base)
-    random = Random(0)
     for name in options.verbs:
+        words = [word.replace("{work}", str(base / "case/a/work")) for word in {**VERBS, **ALSO}[name]]
+        whole = usual_seconds(base, words)
         for number in (signal.SIGINT, signal.SIGTERM):
-            found = tries(base, name, number, options.tries, random)
+            found = tries(base, words, number, options.tries, whole, Random(f"{name} {number.name}"))
             print(json.dumps({name: {number.name: found}}), flush=True)
 
 

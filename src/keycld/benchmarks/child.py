@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TypedDict
 
-from keycld._files import aside_of, discard_partial
+from keycld._files import aside_of, discard_partial, remove_orphans
 from keycld._lock import locked
 from keycld._records import Name
 from keycld._signals import end_on_signals
@@ -93,7 +93,11 @@ class _Notes:
 
 
 def _set_aside(run: Path, old: str) -> None:
-    """Move the contents of a run folder, except lock and log, to a new one next to it with the old hash in its name."""
+    """Move the contents of a run folder, except lock and log, to a new one next to it with the old hash in its name.
+
+    What a killed process left hidden is removed: a folder with nothing else is that of a first call.
+    """
+    remove_orphans(run)
     entries = [entry for entry in run.iterdir() if entry.name not in (LOCK, LOG)]
     if not entries:
         return
@@ -110,10 +114,11 @@ def make_data(experiment: Experiment, place: Place) -> None:
 
 def train_model(experiment: Experiment, place: Place) -> None:
     """Train to the end, from the newest checkpoint if there is one."""
-    from keycld.training import finished, train
+    from keycld.training import finished, read_verdict, train
 
     run = place.run(experiment)
-    if not finished(run):
+    # The verdict is written after the last checkpoint.
+    if not finished(run) or read_verdict(run) is None:
         train(place.data(experiment), run, experiment.config(), seed=experiment.seed, minutes=experiment.minutes)
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 import re
-import shutil
 import sys
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -186,8 +185,11 @@ def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, option
         write_text(run / _REQUEST, dumps(request, indent=1))
         yield
     except KeycldError:
-        if not there:
-            shutil.rmtree(run, ignore_errors=True)
+        # Data that are there now are another process's, or unfinished ones that the same command continues.
+        if not there and not (run / "data").exists():
+            (run / _REQUEST).unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                run.rmdir()
         raise
 
 

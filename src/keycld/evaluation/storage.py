@@ -38,16 +38,18 @@ def load_evaluation(folder: str | Path, name: str) -> Evaluation:
         KeycldError: it is missing or damaged.
     """
     path, fix = Path(folder) / "evaluation" / f"{name}.json", "run `keycld eval` again"
+    at_fault = path
     try:
         scores = checked_scores(_migrated(read_json(path, dict[str, Any], fix)))
-        arrays = read_arrays(path.with_suffix(".npz"), layout(scores), fix)
+        expected, at_fault = layout(scores), path.with_suffix(".npz")
+        arrays = read_arrays(at_fault, expected, fix)
         if missing := required(scores) - arrays.keys():
             raise Unexpected(f"the array '{min(missing)}' is missing")
         check_arrays(scores, arrays)
     except FileNotFoundError as error:
         raise KeycldError(f"no result '{name}' in '{folder}': run `keycld eval` on this run first.") from error
     except (KeyError, TypeError, ValueError) as error:
-        raise error if isinstance(error, KeycldError) else damaged(path, error, fix) from error
+        raise error if isinstance(error, KeycldError) else damaged(at_fault, error, fix) from error
     return Evaluation(scores, arrays)
 
 

@@ -11,6 +11,8 @@ from keycld.evaluation.image_scores import ERROR_ARRAYS
 
 Number = float | None
 _MOTIONS = ("observed", "predicted")
+# What is stored along a motion, all or nothing.
+_ALONG = ("kinetic", "potential", "course")
 # Of what lies along an axis of a figure.
 _LARGEST = 1e9
 
@@ -268,6 +270,9 @@ def check_arrays(scores: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) ->
     elif "skeleton" in scores:
         index = arrays["shown_index"]
         _expect(len(index) > 0 and index.min() >= 0 and index.max() < scores["frames"], "shown_index")
+        for motion in _MOTIONS:
+            along = {f"{motion}_{name}" for name in _ALONG}
+            _expect(along <= arrays.keys() or not along & arrays.keys(), f"{motion}_course")
     elif "law" in scores:
         _expect(len(arrays["frames"]) == arrays["input"].shape[1] + 1 > 1 and arrays["x"].shape[2] % 2 == 0, "frames")
     elif arrays:
