@@ -75,17 +75,18 @@ def test_a_bench_run_that_was_killed_at_its_first_file_is_not_moved_aside(tmp_pa
 
 def test_a_bench_run_that_was_killed_before_its_verdict_gets_one(tmp_path, monkeypatch):
     import keycld.training
-    from keycld.benchmarks import Place, child, suite_named
+    from keycld.benchmarks import Place, suite_named
+    from keycld.benchmarks.child import train_model
     from keycld.training.run_files import write_verdict
 
     place, experiment = Place(tmp_path, tmp_path / "results"), suite_named("keycld").select()[0]
     calls = []
-    monkeypatch.setattr(keycld.training, "finished", lambda run: True, raising=False)
-    monkeypatch.setattr(keycld.training, "train", lambda *arguments, **options: calls.append(arguments), raising=False)
-    child.train_model(experiment, place)
+    monkeypatch.setattr(keycld.training, "finished", lambda run: True)
+    monkeypatch.setattr(keycld.training, "train", lambda *arguments, **options: calls.append(arguments))
+    train_model(experiment, place)
     place.run(experiment).mkdir(parents=True)
     write_verdict(place.run(experiment), [], passed=True)
-    child.train_model(experiment, place)
+    train_model(experiment, place)
     assert len(calls) == 1
 
 
@@ -197,8 +198,7 @@ def test_an_array_that_claims_more_than_its_bytes_is_refused(tmp_path):
 
 
 def test_damage_is_reported_under_the_name_of_its_file(tmp_path):
-    from keycld.evaluation import load_evaluation, save_evaluation
-    from keycld.evaluation.outcome import Evaluation
+    from keycld.evaluation import Evaluation, load_evaluation, save_evaluation
 
     save_evaluation(tmp_path, "sweeps", Evaluation({}, {"names": np.array(["turn"])}))
     with pytest.raises(KeycldError, match=r"sweeps\.npz is damaged"):
@@ -212,7 +212,7 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     """Each ended in an error that nothing foresaw."""
     from keycld.benchmarks.results import Result
     from keycld.evaluation.probe import fit_probe
-    from keycld.evaluation.stored import check_arrays
+    from keycld.evaluation.stored import check_arrays, required
     from keycld.models import config_for
     from keycld.reports.training_figure import terms
     from keycld.systems import get
@@ -236,6 +236,7 @@ def test_damaged_values_of_results_and_settings_are_refused_or_left_out(tmp_path
     assert list(terms([{"step": 1, "loss": 1.0, "a": 10**31, "b": 1e308}])) == ["loss"]
     with pytest.raises((Unexpected, KeyError)):
         check_arrays({}, {"turn/values": np.zeros(1)})
+    assert "error_no_motion" in required({"skeleton": {}, "baselines": {"no motion": {}}})
     motion = {"skeleton": {}, "n": 1, "frames": 3, "keypoints": ["tip"], "baselines": {}}
     with pytest.raises(Unexpected, match="observed_course"):
         check_arrays(motion, {"shown_index": np.zeros(1, int), "observed_course": np.zeros((3, 1, 2))})

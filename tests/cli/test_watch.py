@@ -122,6 +122,22 @@ def test_wrong_videos_get_one_sentence_and_leave_nothing(tmp_path, capsys, frame
     assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
 
 
+def test_the_data_of_another_process_stay(tmp_path, monkeypatch, capsys):
+    """It began at the same time and was faster: this one found no folder, and is refused at the end of its import."""
+    import keycld.data
+
+    def refused(clips, folder, **options):
+        folder.mkdir(parents=True)
+        (folder / "train.h5").touch()
+        raise KeycldError(f"{folder} already holds data")
+
+    monkeypatch.setattr(keycld.data, "import_clip", refused, raising=False)
+    video(tmp_path / "swing.mp4", swing(2))
+    assert main(words(tmp_path)) == 2
+    assert "already holds data" in capsys.readouterr().err
+    assert (tmp_path / "run" / "data" / "train.h5").exists()
+
+
 def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeypatch):
     """Its candidates are stored, so that the same command answers at once."""
     circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.2})
@@ -143,22 +159,6 @@ def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeyp
             "chosen": False,
         }
     ]
-
-
-def test_the_data_of_another_process_stay(tmp_path, monkeypatch, capsys):
-    """It began at the same time and was faster: this one found no folder, and is refused at the end of its import."""
-    import keycld.data
-
-    def refused(clips, folder, **options):
-        folder.mkdir(parents=True)
-        (folder / "train.h5").touch()
-        raise KeycldError(f"{folder} already holds data")
-
-    monkeypatch.setattr(keycld.data, "import_clip", refused, raising=False)
-    video(tmp_path / "swing.mp4", swing(2))
-    assert main(words(tmp_path)) == 2
-    assert "already holds data" in capsys.readouterr().err
-    assert (tmp_path / "run" / "data" / "train.h5").exists()
 
 
 def _texture():

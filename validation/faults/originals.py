@@ -194,7 +194,7 @@ def packaged(folder: Path) -> None:
     """Unpack the package's pendulum: the small models of the others control nothing."""
     from keycld.control.swing_up import upright_picture
     from keycld.drawing import save_image
-    from keycld.systems import get
+    from keycld.systems import AbstractMujocoSystem, get
     from keycld.training import run_folder
     from keycld.training.checkpoints import latest_checkpoint
 
@@ -206,7 +206,9 @@ def packaged(folder: Path) -> None:
     assert newest is not None
     newest.rename(newest.with_name("C"))
     (folder / "packaged/checkpoints/latest").write_text("C")
-    save_image(folder / "upright.png", upright_picture(get("pendulum")))
+    system = get("pendulum")
+    assert isinstance(system, AbstractMujocoSystem)
+    save_image(folder / "upright.png", upright_picture(system))
 
 
 def begun_demo(folder: Path) -> None:

@@ -205,12 +205,11 @@ def layout(scores: Mapping[str, Any]) -> dict[str, tuple[str, str]]:
         }
     if "skeleton" in scores:
         n, length, keypoints = scores["n"], scores["frames"], len(scores["keypoints"])
-        kinds = ("error", *(f"error_{name.replace(' ', '_')}" for name in scores["baselines"]))
         along = {"kinetic": ("f", f"{length}"), "potential": ("f", f"{length}"), "course": ("f", f"{length} c 2")}
         return {
             "frames": ("u", "F H W 3"),
             "shown_index": ("i", "F"),
-            **{kind: ("f", f"{n} {length}") for kind in kinds},
+            **{kind: ("f", f"{n} {length}") for kind in _motion_errors(scores)},
             **{motion: ("f", f"{length} {keypoints} 2") for motion in _MOTIONS},
             **{f"{motion}_{name}": shape for motion in _MOTIONS for name, shape in along.items()},
         }
@@ -240,13 +239,17 @@ def _error_arrays(scores: Mapping[str, Any]) -> list[str]:
     return [kind, *(f"baseline_{kind}_{name.replace(' ', '_')}" for name in scores["baselines"])]
 
 
+def _motion_errors(scores: Mapping[str, Any]) -> list[str]:
+    return ["error", *(f"error_{name.replace(' ', '_')}" for name in scores["baselines"])]
+
+
 def required(scores: Mapping[str, Any]) -> set[str]:
     """Return the names of the arrays that must be next to these scores."""
     if "law" in scores:
         shaped = {"kinetic", "desired"} if "passivity" in scores else set()
         return {"frames", "goal_frame", "x", "good", "input", "tilts", *shaped}
     if "skeleton" in scores:
-        return {"frames", "shown_index", "error", *_MOTIONS}
+        return {"frames", "shown_index", *_motion_errors(scores), *_MOTIONS}
     if "protocol" not in scores:
         return set()
     also = {"coordinate_error"} if "state" in scores else set()
