@@ -161,44 +161,54 @@ def _derived(found: Estimate, value: float, slope: np.ndarray) -> Derived:
 def _minimum(
     unknowns: Unknowns, eta: np.ndarray, start: Motion, tracks: np.ndarray, u: Array, dt: float
 ) -> tuple[np.ndarray, Sensitivity, np.ndarray]:
-    """Return the best η, the motions there, and W `[N, T, dim, dim]`."""
-    scales, whiten = None, np.zeros(0)
+    """Return the best η, the motions there, and W `[N, T, dim, dim]`.
+
+    Errors across and along the constraints are weighed apart only near the minimum for equal weights: far from it, all
+    of them are errors of the parameters.
+    """
     near = sensitivity(unknowns, eta, start, u, dt, tracks.shape[1])
-    for _ in range(_STEPS):
-        error = tracks - near.x
-        if not np.all(np.isfinite(near.slopes)):
-            raise KeycldError("the fitted motions diverge, so that nothing can be said of the parameters of their law.")
-        measured, matrices = _whitening(unknowns, eta, near.x, error)
-        # They follow the errors as they become smaller, and then stay: a cost that changes has no minimum.
-        if scales is None or np.any(measured < 0.9 * scales):
-            scales, whiten = measured, matrices
-        scaled = _times(whiten, error)
-        normal = NormalEquations(whiten @ near.slopes, scaled, _weight(scaled), near.local)
-        if normal.gain() < _DONE * (len(eta) + near.initial.x.shape[0] * near.local):
-            break
-        for damping in _DAMPINGS:
-            moves, change = normal.step(damping)
-            moved = near.moved(moves)
-            x = paths(unknowns, jnp.asarray(eta + change), moved, u, jnp.asarray(dt), tracks.shape[1])
-            if _cost(_times(whiten, tracks - np.asarray(x))) < _cost(scaled):
-                there = sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
-                if np.all(np.isfinite(there.slopes)):
-                    eta, near = eta + change, there
-                    break
-        else:
-            break
+    whiten = np.zeros(0)
+    for apart in (False, True):
+        scales = None
+        for _ in range(_STEPS):
+            error = tracks - near.x
+            if not np.all(np.isfinite(near.slopes)):
+                raise KeycldError(
+                    "the fitted motions diverge, so that nothing can be said of the parameters of their law."
+                )
+            measured, matrices = _whitening(unknowns, eta, near.x, error, apart)
+            # They follow the errors as they become smaller, and then stay: a cost that changes has no minimum.
+            if scales is None or np.any(measured < 0.9 * scales):
+                scales, whiten = measured, matrices
+            scaled = _times(whiten, error)
+            normal = NormalEquations(whiten @ near.slopes, scaled, _weight(scaled), near.local)
+            if normal.gain() < _DONE * (len(eta) + near.initial.x.shape[0] * near.local):
+                break
+            for damping in _DAMPINGS:
+                moves, change = normal.step(damping)
+                moved = near.moved(moves)
+                x = paths(unknowns, jnp.asarray(eta + change), moved, u, jnp.asarray(dt), tracks.shape[1])
+                if _cost(_times(whiten, tracks - np.asarray(x))) < _cost(scaled):
+                    there = sensitivity(unknowns, eta + change, moved, u, dt, tracks.shape[1])
+                    if np.all(np.isfinite(there.slopes)):
+                        eta, near = eta + change, there
+                        break
+            else:
+                break
     return eta, near, whiten
 
 
-def _whitening(unknowns: Unknowns, eta: np.ndarray, x: np.ndarray, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _whitening(
+    unknowns: Unknowns, eta: np.ndarray, x: np.ndarray, error: np.ndarray, apart: bool
+) -> tuple[np.ndarray, np.ndarray]:
     """Return deviations, and W `[N, T, dim, dim]`: errors W e across and along the constraints have a deviation of one.
 
-    The deviations are those of the keypoints, and those across each constraint.
+    The deviations are those of the keypoints, and those across each constraint; without `apart` the former alone.
     """
     sigma = robust_scale(error)
     unit = np.broadcast_to(np.eye(len(sigma)), (*error.shape, len(sigma)))
     rows = np.asarray(_jacobians(unknowns.law(jnp.asarray(eta))[0], jnp.asarray(x)))
-    if not 0 < rows.shape[-2] < len(sigma):
+    if not (apart and 0 < rows.shape[-2] < len(sigma)):
         return sigma, unit / sigma
     normals, _ = np.linalg.qr(np.swapaxes(rows * sigma, -1, -2))
     across = np.einsum("ntdj,ntd->ntj", normals, error / sigma)

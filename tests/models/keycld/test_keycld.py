@@ -372,9 +372,29 @@ def test_coverage_pulls_a_keypoint_to_what_is_missing():
     frames, rendered = (jnp.repeat(image[None, ..., None], 3, axis=3) for image in (jnp.sum(discs, -1), discs[..., 0]))
     model = fast(Constraints(("a", "b"), ()), width=8).build(SCENE, jax.random.key(0))
     model = eqx.tree_at(lambda m: m.estimator.standardise.deviation, model, jnp.std(frames))
-    slope = jax.grad(lambda x, rendered: losses._uncovered(model, x, rendered, frames))
-    pull = -slope(jnp.array([[[-0.5, 0.0], [0.3, 0.0]]]), rendered)[0]
+    force = jax.jit(
+        jax.grad(lambda x, rendered: (lambda c, f: c + jnp.mean(f))(*losses._found(model, x, rendered, frames)))
+    )
+    pull = force(jnp.array([[[-0.5, 0.0], [0.3, 0.0]]]), rendered)[0]
     assert pull[1, 0] > 0 and jnp.abs(pull[0]).max() < 0.2 * pull[1, 0]
     # With everything rendered, keypoints are only held on what moves.
     for x, back in ((0.35, 1), (0.65, -1)):
-        assert back * -slope(jnp.array([[[-0.5, 0.0], [x, 0.0]]]), frames)[0, 1, 0] > 0
+        assert back * force(jnp.array([[[-0.5, 0.0], [x, 0.0]]]), frames)[0, 1, 0] > 0
+
+
+def test_only_free_keypoints_are_held_on_the_middle_of_what_moves(getkey):
+    """A constraint says where on its part a keypoint is; where none does, the centre of what moves must."""
+    model = fast(Constraints(("bob", "free"), (DistanceToPoint("bob"),)), width=8).build(SCENE, jax.random.key(0))
+    clip = clips(getkey(), 3, [0], 1)
+
+    @eqx.filter_jit
+    @eqx.filter_grad
+    def push(model):
+        held, loose = (
+            VisionLoss(centre=centre)(model, clip, key=jax.random.key(0), step=jnp.array(50))[0]
+            for centre in (1.0, 0.0)
+        )
+        return held - loose
+
+    kernel = push(model).estimator.network.out.kernel
+    assert bool(jnp.any(kernel[..., 1] != 0)) and bool(jnp.all(kernel[..., 0] == 0))

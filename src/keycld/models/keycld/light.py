@@ -57,6 +57,9 @@ from keycld.vision import (
 if TYPE_CHECKING:
     from keycld.models.keycld.recipes.fast import DynamicsStage, FastConfig
 
+# Pixels of error that a law may have before the stage joint.
+_SMALL = 0.5
+
 
 def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
     """Build KeyCLD or an ablation with light U-Nets at half resolution, affine parts in V and g, and RATTLE.
@@ -206,7 +209,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         dynamics = _gradient_stage(second, clips)
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
-        judge = functools.partial(judge_dynamics, worst=second.worst)
+        judge = functools.partial(judge_dynamics, worst=second.worst, small=_SMALL)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )

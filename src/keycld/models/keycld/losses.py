@@ -48,6 +48,10 @@ class VisionLoss(AbstractLoss):
             encode the parts from any place. C helps where parts are small and near each other, and harms elsewhere,
             so it is for some of the candidates.
             The value of L does not contain it, so that candidates with and without can be compared.
+        centre: weight at t = 0, falling to 0 at t = 1, of the gradient of the second part alone, for free keypoints, on
+            which no constraint acts. Nothing else says where on its part a free keypoint is, and forces act between
+            centres: no central force explained two keypoints that were each a pixel off theirs, to opposite sides
+            (`results/priors-keycld.md`). Near the end it would only add the noise of the pixels.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
@@ -57,6 +61,7 @@ class VisionLoss(AbstractLoss):
     coupling: float = 10.0
     joints: float = 0.85
     coverage: float = 0.0
+    centre: float = 1.0
     steps: float = 1000.0
     sigma: float = 0.05
 
@@ -89,7 +94,10 @@ class VisionLoss(AbstractLoss):
             "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": jnp.sum(uneven),
         }
-        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * _uncovered(model, observed.keypoints, rendered, frames)
+        covered, found = _found(model, observed.keypoints, rendered, frames)
+        free = jnp.all(_slopes(model, x) == 0, axis=(0, 1))
+        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(covered + jnp.mean(found))
+        pull = pull - self.centre * (1 - done) * jnp.sum(jnp.where(free, found, 0.0))
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
@@ -280,10 +288,10 @@ def unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
     return jnp.mean(spread / (jnp.sum(slopes, axis=-1) + 1e-6), axis=0), couples
 
 
-def _uncovered(
+def _found(
     model: AbstractKeypointModel, keypoints: Array, rendered: Array, frames: Array, scale: float = 0.1
-) -> Array:
-    """Return C of `VisionLoss` for keypoints `[batch, K, 2]` and the frames that were rendered from them."""
+) -> tuple[Array, Array]:
+    """Return how far keypoints `[batch, K, 2]` cover what the rendered frames lack, and each what moves, for C."""
     assert isinstance(model.estimator, (KeypointEstimator, DenseEstimator)) and model.estimator.standardise is not None
     mean, deviation = model.estimator.standardise.mean, model.estimator.standardise.deviation
     pixels = jnp.stack([frames - rendered, frames - mean[None]]) / (deviation * jnp.sqrt(frames[0].size) + 1e-6)
@@ -292,7 +300,7 @@ def _uncovered(
     near = -jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1) / (2 * scale**2)
     found = jnp.log(jnp.sum(moving[..., None] * jnp.exp(near), axis=(1, 2)) + 1e-4)
     covered = jnp.sum(missing * jax.nn.logsumexp(near, axis=-1), axis=(1, 2))
-    return -jnp.mean(covered + jnp.mean(found, axis=1))
+    return jnp.mean(covered), jnp.mean(found, axis=0)
 
 
 def _ends(model: AbstractKeypointModel, x: Array) -> Array:
