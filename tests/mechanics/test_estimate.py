@@ -155,8 +155,8 @@ def test_predictions_spread_by_as_much_as_their_error_bars(swing):
 
 def test_a_fit_that_ended_in_another_minimum_says_so(swing):
     """From half of g the pendulum falls behind by periods, which no small step makes good."""
-    near = fitted(seen(swing))
-    assert near.misfit == pytest.approx(NOISE / np.sqrt(np.mean(np.var(swing, axis=0))), rel=0.2)
+    # Noise is no misfit.
+    assert fitted(seen(swing)).misfit < 0.3 * NOISE / np.sqrt(np.mean(np.var(swing, axis=0)))
     guess = pendulum(0.4 * GRAVITY, 0.1)
     still = Motion(swing[None, 0], np.zeros((1, 2)))
     far = estimate(guess, free(guess), seen(swing)[None], np.zeros((1, 0)), DT, initial=still)

@@ -45,9 +45,9 @@ class Estimate(NamedTuple):
         initial: initial states `[N, dim]` each.
         paths: fitted positions `[N, T, dim]`.
         dt: seconds between frames.
-        misfit: root mean square of the errors, as a share of that of the motion around its mean position. Near 1 the
-            fit has ended in a minimum of the cost that is not the lowest, for example with a motion that has fallen
-            back by a period, or the law is another one; the covariance knows of neither.
+        misfit: root mean square of the errors that last for more than a frame, as a share of that of the motion around
+            its mean position. Near 1 the fit has ended in a minimum of the cost that is not the lowest, for example
+            with a motion that has fallen back by a period, or the law is another one; the covariance knows of neither.
     """
 
     unknowns: Unknowns
@@ -256,8 +256,14 @@ def _with_covariance(
         initial=near.initial,
         paths=near.x,
         dt=dt,
-        misfit=float(np.sqrt(np.mean((tracks - near.x) ** 2) / np.mean(np.var(tracks, axis=1)))),
+        misfit=_misfit(tracks - near.x, tracks),
     )
+
+
+def _misfit(error: np.ndarray, tracks: np.ndarray) -> float:
+    """Return the errors that last, as a share of the motion. Steps of independent errors have twice their variance."""
+    lasting = np.mean(error**2) - np.mean(np.diff(error, axis=1) ** 2) / 2
+    return math.sqrt(max(0.0, float(lasting)) / float(np.mean(np.var(tracks, axis=1))))
 
 
 def _weight(error: np.ndarray) -> np.ndarray:

@@ -131,7 +131,7 @@ def observation_error(law: ConstrainedLagrangian, x: Float[np.ndarray, "N T dim"
 
 
 def judge_trained(
-    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float
+    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float, small: float = 0.0
 ) -> str | None:
     """Return what has failed in the whole training, or None: the criteria of its first two stages, at its end.
 
@@ -144,11 +144,12 @@ def judge_trained(
         terms: not used.
         reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
         law: `worst` of `judge_dynamics`.
+        small: pixels of error that pass there.
     """
     some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
     error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
     seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
-    return seen or judge_dynamics(model, data, terms, worst=law)
+    return seen or judge_dynamics(model, data, terms, worst=law, small=small)
 
 
 def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:

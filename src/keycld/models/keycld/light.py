@@ -214,7 +214,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
     refit = functools.partial(fit_dynamics, tried=config.tried if config.terms is None else None)
-    judge = functools.partial(judge_trained, reconstruction=first.worst, law=second.worst)
+    judge = functools.partial(judge_trained, reconstruction=first.worst, law=second.worst, small=config.TOLERATED)
     prior = dataclasses.replace(
         joint,
         name="prior",

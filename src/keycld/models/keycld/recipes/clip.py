@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from keycld.models.keycld.config import MODELS
 from keycld.models.keycld.recipes.fast import FastConfig, JointStage, VisionStage
@@ -26,6 +26,8 @@ class ClipConfig(FastConfig):
     4. `prior`: no steps; fits once more. Then the validation score. There is no velocity prior.
     5. `final`: no steps; nothing is left to choose, so the constants are fitted to training and validation part.
     """
+
+    TOLERATED: ClassVar[float] = 0.5  # No law explains a real mechanism to the errors of its keypoints.
 
     velocity_prior: bool = False
     """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
