@@ -124,8 +124,8 @@ class FastConfig(KeyCLDConfig):
         "dynamics.law.potential.perceptron.": "dynamics.law.potential.terms.perceptron-32.perceptron.",
     }
 
-    TOLERATED: ClassVar[float] = 0.0
-    """Pixels of error that the law may have at the end of the training, whatever the keypoints' own errors are."""
+    TOLERATED: ClassVar[float] = 0.05
+    """Pixels of error that the law may have at the end of the training, however small the keypoints' own errors are."""
 
     width: int = 16
     """Channels of the networks at half resolution."""
