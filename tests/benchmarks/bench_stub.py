@@ -139,7 +139,6 @@ def write(path, value):
     path.write_text(json.dumps(value) + "\n")
 
 
-child.make_data, child.train_model, child.evaluate_model = make_data, train_model, evaluate_model
-
 if __name__ == "__main__":
+    child.make_data, child.train_model, child.evaluate_model = make_data, train_model, evaluate_model
     sys.exit(child.main(sys.argv[1:]))

@@ -44,8 +44,8 @@ def test_a_clip_is_cropped_to_what_moves_and_split_in_time(tmp_path):
 
 def test_long_parts_become_recordings_of_equal_length(tmp_path):
     path = video(tmp_path, swing())
-    import_clip(path, tmp_path / "a", constraints="pendulum", size=16, crop=(32, 0, 96, 96), longest=20)
-    assert open_data(tmp_path / "a").train().image.shape == (3, 18, 16, 16, 3)
+    import_clip(path, tmp_path / "a", constraints="pendulum", size=32, crop=(32, 0, 96, 96), longest=20)
+    assert open_data(tmp_path / "a").train().image.shape == (3, 18, 32, 32, 3)
 
 
 @pytest.mark.parametrize(
@@ -74,7 +74,7 @@ def test_no_videos(tmp_path):
 
 
 def test_the_motion_of_a_chain_is_learned_in_halves(tmp_path):
-    import_clip(video(tmp_path, swing()), tmp_path / "a", constraints="double-pendulum", size=16)
+    import_clip(video(tmp_path, swing()), tmp_path / "a", constraints="double-pendulum", size=24)
     data = open_data(tmp_path / "a")
     assert data.train().image.shape[:2] == (2, 27) and data.test().image.shape[:2] == (1, 30)
 
@@ -82,10 +82,10 @@ def test_the_motion_of_a_chain_is_learned_in_halves(tmp_path):
 def test_several_clips_of_one_place_share_crop_and_are_split_each(tmp_path):
     first = video(tmp_path, swing(), "a.mp4")
     second = video(tmp_path, swing(75, seed=1), "b.mp4")
-    clip = import_clip([first, second], tmp_path / "both", constraints="pendulum", size=16)
+    clip = import_clip([first, second], tmp_path / "both", constraints="pendulum", size=24)
     assert clip.frames == (54 + 45, 6 + 5, 30 + 25)
     data = open_data(tmp_path / "both")
-    assert data.train().image.shape == (2, 45, 16, 16, 3) and data.test().image.shape[:2] == (2, 25)
+    assert data.train().image.shape == (2, 45, 24, 24, 3) and data.test().image.shape[:2] == (2, 25)
     other = video(tmp_path, swing(70, size=(96, 112)), "c.mp4")
     with pytest.raises(KeycldError, match="give videos from the same camera and place"):
         import_clip([first, other], tmp_path / "c", constraints="pendulum")
@@ -93,13 +93,13 @@ def test_several_clips_of_one_place_share_crop_and_are_split_each(tmp_path):
 
 def test_a_video_from_the_same_place_becomes_one_recording_as_the_clip_was(tmp_path):
     path = video(tmp_path, swing())
-    import_clip(path, tmp_path / "a", constraints="pendulum", size=16, fps=100.0)
+    import_clip(path, tmp_path / "a", constraints="pendulum", size=24, fps=100.0)
     data = open_data(tmp_path / "a")
-    again = read(clip_file(path, tmp_path / "again.h5", data.attributes, 16))
+    again = read(clip_file(path, tmp_path / "again.h5", data.attributes, 24))
     assert again.dt == pytest.approx(0.01) and is_clip(data.attributes)
     np.testing.assert_array_equal(again.image[0, :54], data.train().image[0])
     wide = video(tmp_path, swing(70, size=(96, 112)), "c.mp4")
     with pytest.raises(KeycldError, match="has 112 x 96 pixels, the video that was learned 128 x 96"):
-        clip_file(wide, tmp_path / "b.h5", data.attributes, 16)
+        clip_file(wide, tmp_path / "b.h5", data.attributes, 24)
     with pytest.raises(KeycldError, match="the model learned from other data"):
-        clip_file(path, tmp_path / "b.h5", {"protocol": "import"}, 16)
+        clip_file(path, tmp_path / "b.h5", {"protocol": "import"}, 24)
