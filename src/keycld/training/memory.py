@@ -13,7 +13,8 @@ def keep_freed_memory(keep: bool = True) -> bool:
 
     On a CPU, XLA allocates the arrays of each step anew. By default glibc returns them to the system after the step,
     and the next gets them page by page and zeroed. That takes 2 to 4 % of the time with 25 steps in a call
-    (`benches/memory.py`), and an eighth with one. Results are the same, bit for bit; the process keeps its largest size.
+    (`benches/memory.py`), and an eighth with one. Results are the same, bit for bit; the process keeps its largest
+    size.
 
     Args:
         keep: false restores the default of glibc.
