@@ -71,7 +71,7 @@ def judge_dynamics(
         worst: the largest share of the errors of constant acceleration that passes.
         small: pixels of error that pass. After vision alone keypoints may be wrong by tenths of a pixel, in ways that
             last for many frames; where motions are slow, a right law is then no nearer than constant accelerations.
-            The stage joint corrects them (two bodies: 0.21 → 0.03 pixels), and what it leaves is judged without.
+            The stage joint corrects them (two bodies: 0.21 → 0.01 pixels), and less passes after it.
     """
     if not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
         return None
