@@ -232,10 +232,12 @@ def _child(root: str, results: str) -> int:
     from validation.faults.originals import small_experiment
 
     from keycld import KeycldError
+    from keycld._compile_cache import use_compile_cache
     from keycld.benchmarks import Place
     from keycld.benchmarks.child import main as child
     from keycld.benchmarks.running import TAKEN
 
+    use_compile_cache()  # as `bench run` does, which starts it
     experiment = small_experiment()
     try:
         with contextlib.redirect_stderr(io.StringIO()):
