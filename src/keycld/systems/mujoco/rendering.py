@@ -44,7 +44,8 @@ class MujocoRenderer:
         quality = self._model.vis.quality
         quality.shadowsize = _SHADOW_MAP
         if self.coarse:
-            quality.shadowsize, quality.numslices, quality.numstacks = _COARSE_SHADOW_MAP, _COARSE_SLICES, _COARSE_STACKS
+            quality.shadowsize = _COARSE_SHADOW_MAP
+            quality.numslices, quality.numstacks = _COARSE_SLICES, _COARSE_STACKS
         # A buffer no larger than the picture: the default of 640 x 480 is cleared for nothing in every frame.
         self._model.vis.global_.offwidth = self._model.vis.global_.offheight = self.size
         self._data = mujoco.MjData(self._model)
