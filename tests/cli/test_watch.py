@@ -138,6 +138,17 @@ def test_the_data_of_another_process_stay(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "run" / "data" / "train.h5").exists()
 
 
+def test_a_comparison_whose_clip_is_refused_later_stays_for_no_other_clip(tmp_path, capsys, monkeypatch):
+    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.0})
+    monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [discovery.Judged(circle, 0.01, True)])
+    video(tmp_path / "swing.mp4", swing())
+    command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "auto", "--out", str(tmp_path / "run")]
+    for wrong, sentence in ((["--size", "20"], "multiple of 8"), (["--length", "a-b = 1 m"], "no length a-b")):
+        assert main([*command, *wrong]) == 2
+        assert sentence in capsys.readouterr().err
+        assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
+
+
 def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeypatch):
     """Its candidates are stored, so that the same command answers at once."""
     circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.2})

@@ -232,10 +232,12 @@ def _child(root: str, results: str) -> int:
     from validation.faults.originals import small_experiment
 
     from keycld import KeycldError
+    from keycld._compile_cache import use_compile_cache
     from keycld.benchmarks import Place
     from keycld.benchmarks.child import main as child
     from keycld.benchmarks.running import TAKEN
 
+    use_compile_cache()  # as `bench run` does, which starts it
     experiment = small_experiment()
     try:
         with contextlib.redirect_stderr(io.StringIO()):
@@ -354,7 +356,9 @@ def prepare(base: Path) -> None:
     """Make the whole files, and import what the verbs need; JAX begins in forked processes only."""
     (base / "tmp").mkdir(parents=True, exist_ok=True)
     os.environ |= {"TMPDIR": str(base / "tmp"), "MPLCONFIGDIR": str(base / "tmp" / "matplotlib"),
-                   "KEYCLD_COMPILE_CACHE": str(base / "tmp" / "compiled")}  # fmt: skip
+                   "KEYCLD_COMPILE_CACHE": str(base / "tmp" / "compiled"),
+                   # Programs that compile fast are worth a file here: each verb runs very often.
+                   "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}  # fmt: skip
     if not (base / "original").exists():
         code = "import sys; from pathlib import Path; from validation.faults.originals import make_originals as m; "
         code += "m(Path(sys.argv[1]), Path(sys.argv[2]))"

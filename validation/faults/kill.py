@@ -4,8 +4,9 @@
 that changes files, of the verb or a Python process that it starts, the folder is copied as it is: what signal 9 would
 leave there. From each copy the same command must give the files of a run that was not killed, as far as two such runs
 give the same. Copies that no later process can tell apart are one state. `--limit` lets every file end at some sizes
-instead, as on a full disk, and `--disk` gives a disk in memory that is read-only or has little room left (for an
-administrator only). Both must be told in one sentence, and leave no half files.
+instead, as on a full disk; `--disk` gives a disk in memory that is read-only or has little room left, and `--quota` one
+with room on which the folder may hold little more (both for an administrator only). Each must be told in one sentence,
+and leave no half files.
 """
 
 import argparse
@@ -17,6 +18,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -210,21 +212,22 @@ def _count(
         print(name, room, ended, half, orphans, file=sys.stderr, flush=True)
 
 
-def disks(base: Path, name: str, limit: float) -> dict[str, Any]:
-    """Run a verb on disks that are read-only or have some KiB left, and look at what it says and leaves."""
+def disks(base: Path, name: str, limit: float, quota: bool = False) -> dict[str, Any]:
+    """Run a verb on disks that are read-only or have some KiB left, and look at what it says and leaves.
+
+    With `quota` the disks have room, but the folder may hold some KiB more only.
+    """
     outer = base / "disk"
     outer.mkdir(exist_ok=True)
     words = [word.replace("{work}", str(outer / "work")) for word in VERBS[name]]
     found: dict[str, Any] = {"tries": 0, "refused": 0, "faults": 0, "half": 0, "left_over": 0}
     worker, expected = Worker(base), {}
-    for room in ("plenty", "none at all", 0, 4, 16, 64, 256, 1024):
-        subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200m", "faults", outer], check=True)
+    # A new file of btrfs takes more than a hundred KiB at first.
+    rooms = (0, 128, 192, 256, 512, 1024, 2048) if quota else ("none at all", 0, 4, 16, 64, 256, 1024)
+    for room in ("plenty", *rooms):
+        (_mount_with_quota if quota else _mount)(base, outer, room)
         try:
-            shutil.copytree(base / "original", outer / "work")
-            before, disk = contents(outer / "work"), os.statvfs(outer)
-            used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize // 1024
-            option = {"plenty": "size=200m", "none at all": "ro"}.get(str(room)) or f"size={used + int(room)}k"
-            subprocess.run(["mount", "-o", f"remount,{option}", outer], check=True)
+            before = contents(outer / "work")
             worker = worker if worker.alive else Worker(base)
             ended = worker.run(words, outer, limit)
             expected = expected or contents(outer / "work")
@@ -238,6 +241,38 @@ def disks(base: Path, name: str, limit: float) -> dict[str, Any]:
     return found
 
 
+def _mount(base: Path, outer: Path, room: object) -> None:
+    """Mount a disk in memory with the whole files and so much room left."""
+    subprocess.run(["mount", "-t", "tmpfs", "-o", "size=200m", "faults", outer], check=True)
+    shutil.copytree(base / "original", outer / "work")
+    disk = os.statvfs(outer)
+    used = (disk.f_blocks - disk.f_bfree) * disk.f_frsize // 1024
+    size = {"plenty": "size=200m", "none at all": "ro"}.get(str(room)) or f"size={used + int(str(room))}k"
+    subprocess.run(["mount", "-o", f"remount,{size}", outer], check=True)
+
+
+def _mount_with_quota(base: Path, outer: Path, room: object) -> None:
+    """Mount a file with btrfs, the whole files, and a quota that leaves them so much room (needs btrfs-progs)."""
+    image, work = base / "disk.btrfs", outer / "work"
+    image.unlink(missing_ok=True)
+    for command in (
+        ("truncate", "--size", "300M", image),
+        ("mkfs.btrfs", "--quiet", image),
+        ("mount", "--options", "loop", image, outer),
+        ("btrfs", "quota", "enable", outer),
+        ("btrfs", "subvolume", "create", work),
+    ):
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    shutil.copytree(base / "original", work, dirs_exist_ok=True)
+    os.sync()
+    if room != "plenty":
+        shown = subprocess.run(["btrfs", "--format", "json", "qgroup", "show", "--raw", "-f", work], check=True,
+                               capture_output=True)  # fmt: skip
+        [group] = json.loads(shown.stdout)["qgroup-show"]
+        most = int(group["referenced"]) + 1024 * int(str(room))
+        subprocess.run(["btrfs", "qgroup", "limit", str(most), work], check=True)
+
+
 def main() -> None:
     """Print what every verb did."""
     parser = argparse.ArgumentParser()
@@ -247,6 +282,7 @@ def main() -> None:
     way = parser.add_mutually_exclusive_group()
     way.add_argument("--limit", action="store_const", dest="way", const=full)
     way.add_argument("--disk", action="store_const", dest="way", const=disks)
+    way.add_argument("--quota", action="store_const", dest="way", const=partial(disks, quota=True))
     parser.set_defaults(way=kills)
     options = parser.parse_args()
     base = options.work.resolve()

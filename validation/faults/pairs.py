@@ -22,12 +22,27 @@ from validation.faults.signals import ALSO
 _LEFT_OUT = ("data make of a toy", "train of KeyCLD", "bench figures", "export to mjcf", "export to mujoco-sysid",
              "export to lerobot", "models", "info", "bench status")  # fmt: skip
 VERBS = {name: words for name, words in {**WRITERS, **ALSO}.items() if name not in _LEFT_OUT}
+# The run folder and the data that a pair with one of these shares.
+_SHARED = {"demo": ("begun", "mujoco"), "watch": ("watched", "watched/data")}
+
+
+def words_of(names: tuple[str, str], work: Path) -> list[list[str]]:
+    """Return the words of two verbs that work on the same run and data."""
+    run, data = next((_SHARED[name] for name in _SHARED if name in names), ("", "data"))
+    shared = {"{work}/run": run or "run", "{work}/new": run or "new", "{work}/data": data}
+    found = []
+    for name in names:
+        words = VERBS[name]
+        for old, new in shared.items():
+            words = tuple(word.replace(old, f"{work}/{new}") for word in words)
+        found.append([word.replace("{work}", str(work)) for word in words])
+    return found
 
 
 def together(base: Path, workers: list[Worker], names: tuple[str, str], limit: float) -> dict[str, Any]:
     """Run two verbs at once and then one after the other, and return what happened."""
     outer = fresh(base)
-    words = [[word.replace("{work}", str(outer / "work")) for word in VERBS[name]] for name in names]
+    words = words_of(names, outer / "work")
     for k in range(2):
         workers[k] = workers[k] if workers[k].alive else Worker(base)
     with ThreadPoolExecutor(2) as threads:

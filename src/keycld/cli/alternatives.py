@@ -1,12 +1,11 @@
 """`keycld watch --mechanism auto`: which mechanisms a clip may show."""
 
-import shutil
 from collections.abc import Mapping, Sequence
 from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from keycld._files import write_text
+from keycld._files import replacing, write_text
 from keycld._records import read_json
 
 if TYPE_CHECKING:
@@ -18,7 +17,8 @@ NOT_IDENTIFIABLE = (
     "not identifiable from this clip: no mechanism was found whose constraints hold and whose motion can be predicted. "
     "Parts must differ in colour from each other and from the ground; otherwise name the mechanism with --mechanism."
 )
-_COMPARED, _CHOSEN = "alternatives.json", "mechanism.toml"
+COMPARISON = ("alternatives.json", "mechanism.toml")
+"""Files of a run folder: all that were compared, and the chosen one if it has no name."""
 # Pixels of a side of the pictures in which a mechanism is looked for.
 _SIDE = 128
 
@@ -37,34 +37,34 @@ def compare(clip: Path, run: Path, options: Mapping[str, Any]) -> "tuple[str | N
     from keycld.mechanics import dump_constraints
     from keycld.models.keycld.discover import discover
 
-    stored, toml = run / _COMPARED, run / _CHOSEN
+    stored, toml = (run / name for name in COMPARISON)
     if stored.exists():
         found = read_json(stored, dict[str, Any], f"delete {run}")["alternatives"]
         return next((each["mechanism"] or str(toml) for each in found if each["chosen"]), None), found
-    looked = run / "looked"
-    shutil.rmtree(looked, ignore_errors=True)
-    import_clip(clip, looked, constraints=None, size=_SIDE, **options)
-    data = open_data(looked)
-    images, train = before_test(data), data.split("train", images=False)
-    assert images.image is not None
-    judged = discover(images.image.reshape(-1, _SIDE, _SIDE, 3), len(train) * train.frames, images.dt)
-    shutil.rmtree(looked)
-    found = []
-    for each in judged:
-        candidate = each.candidate
-        found.append(
-            {
-                "mechanism": candidate.mechanism,
-                "keypoints": list(candidate.constraints.keypoints),
-                "constraints": candidate.residuals,
-                "freedom": candidate.freedom,
-                "prediction": each.error,
-                "chosen": each.chosen,
-            }
-        )
-        if each.chosen and candidate.mechanism is None:
-            write_text(toml, dump_constraints(candidate.constraints))
-    write_text(stored, dumps({"alternatives": found}, indent=1) + "\n")
+    # What is looked at lies next to the file that it is for: it goes with it, also where this fails or is killed.
+    with replacing(stored) as temporary:
+        looked = temporary.with_name("looked")
+        import_clip(clip, looked, constraints=None, size=_SIDE, **options)
+        data = open_data(looked)
+        images, train = before_test(data), data.split("train", images=False)
+        assert images.image is not None
+        judged = discover(images.image.reshape(-1, _SIDE, _SIDE, 3), len(train) * train.frames, images.dt)
+        found = []
+        for each in judged:
+            candidate = each.candidate
+            found.append(
+                {
+                    "mechanism": candidate.mechanism,
+                    "keypoints": list(candidate.constraints.keypoints),
+                    "constraints": candidate.residuals,
+                    "freedom": candidate.freedom,
+                    "prediction": each.error,
+                    "chosen": each.chosen,
+                }
+            )
+            if each.chosen and candidate.mechanism is None:
+                write_text(toml, dump_constraints(candidate.constraints))
+        temporary.write_text(dumps({"alternatives": found}, indent=1) + "\n", encoding="utf-8")
     return next((each["mechanism"] or str(toml) for each in found if each["chosen"]), None), found
 
 

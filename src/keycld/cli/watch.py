@@ -14,7 +14,7 @@ import tyro
 from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld._records import read_json
-from keycld.cli.alternatives import AUTO, NOT_IDENTIFIABLE, alternatives_table, compare
+from keycld.cli.alternatives import AUTO, COMPARISON, NOT_IDENTIFIABLE, alternatives_table, compare
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
@@ -187,7 +187,8 @@ def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, option
     except KeycldError:
         # Data that are there now are another process's, or unfinished ones that the same command continues.
         if not there and not (run / "data").exists():
-            (run / _REQUEST).unlink(missing_ok=True)
+            for name in (_REQUEST, *COMPARISON):
+                (run / name).unlink(missing_ok=True)
             with contextlib.suppress(OSError):
                 run.rmdir()
         raise
