@@ -142,7 +142,7 @@ class AbstractZooSystem(AbstractWatchedMechanism):
 
 class _Renderer(MujocoRenderer):
     def __init__(self, system: AbstractZooSystem):
-        super().__init__(system.mjcf, system.size)
+        super().__init__(system.mjcf, system.size, coarse=True)
         self._system = system
 
     def render(self, state: np.ndarray) -> np.ndarray:

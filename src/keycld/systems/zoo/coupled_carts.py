@@ -43,7 +43,7 @@ class CoupledCarts(AbstractZooSystem):
       <worldbody>
         <light pos="1 -3 3" dir="-.2 .8 -.8" diffuse=".7 .7 .7"/>
         <camera pos="0 -3.2 -.2" zaxis="0 -1 0"/>
-        <geom type="plane" size="6 6 .1" pos="0 .5 0" zaxis="0 -1 0" material="wall"/>
+        <geom type="plane" size="6 6 .25" pos="0 .5 0" zaxis="0 -1 0" material="wall"/>
         <geom type="capsule" fromto="-1.3 .06 -.15 1.3 .06 -.15" size=".02" rgba=".7 .7 .7 1"/>
         <geom type="box" size=".05 .15 .2" pos="-1.27 .06 0" rgba=".7 .7 .7 1"/>
         <geom type="box" size=".05 .15 .2" pos="1.27 .06 0" rgba=".7 .7 .7 1"/>

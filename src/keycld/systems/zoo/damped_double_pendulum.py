@@ -45,7 +45,7 @@ class DampedDoublePendulum(AbstractZooSystem):
       <worldbody>
         <light pos=".5 -.5 4" diffuse=".6 .6 .6"/>
         <camera pos="0 -3.1 0" zaxis="0 -1 0"/>
-        <geom type="plane" size="8 8 .1" pos="0 0 -1.35" material="floor"/>
+        <geom type="plane" size="8 8 .25" pos="0 0 -1.35" material="floor"/>
         <geom type="cylinder" fromto="0 -.06 0 0 .06 0" size=".05" rgba=".2 .2 .2 1"/>
         <body>
           <joint name="shoulder" type="hinge" axis="0 1 0" damping=".04"/>

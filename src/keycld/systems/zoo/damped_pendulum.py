@@ -41,7 +41,7 @@ class DampedPendulum(AbstractZooSystem):
       <worldbody>
         <light pos="-1.5 -3 3" dir=".4 .9 -.8" diffuse=".6 .6 .6"/>
         <camera pos="-.15 -3 0" zaxis="0 -1 0"/>
-        <geom type="plane" size="4 4 .1" pos="0 .35 0" zaxis="0 -1 0" material="wall"/>
+        <geom type="plane" size="4 4 .25" pos="0 .35 0" zaxis="0 -1 0" material="wall"/>
         <geom type="cylinder" fromto="0 -.06 0 0 .3 0" size=".05" rgba=".2 .2 .2 1"/>
         <body>
           <joint type="hinge" axis="0 1 0" damping=".1"/>

@@ -39,7 +39,7 @@ class ElasticPendulum(AbstractZooSystem):
       <worldbody>
         <light pos="0 0 4" diffuse=".5 .5 .5"/>
         <camera pos="0 -3.6 -.5" zaxis="0 -1 0"/>
-        <geom type="plane" size="8 8 .1" pos="0 0 -1.75" material="floor"/>
+        <geom type="plane" size="8 8 .25" pos="0 0 -1.75" material="floor"/>
         <geom type="cylinder" fromto="0 -.05 0 0 .05 0" size=".06" rgba=".8 .8 .8 1"/>
         <site name="pivot" size=".01"/>
         <body>

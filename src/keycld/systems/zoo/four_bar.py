@@ -48,7 +48,7 @@ class FourBar(AbstractLoop):
       <worldbody>
         <light pos="-1 -3 3" dir=".25 .8 -.7" diffuse=".6 .6 .6"/>
         <camera pos="0 -3.2 .3" zaxis="0 -1 0"/>
-        <geom type="plane" size="3 3 .1" pos="0 .4 .3" zaxis="0 -1 0" material="wall"/>
+        <geom type="plane" size="3 3 .25" pos="0 .4 .3" zaxis="0 -1 0" material="wall"/>
         <geom type="cylinder" fromto="-.5 .05 0 -.5 .3 0" size=".07" rgba=".1 .1 .1 1"/>
         <geom type="cylinder" fromto=".5 .05 0 .5 .3 0" size=".07" rgba=".1 .1 .1 1"/>
         <body pos="-.5 0 0">

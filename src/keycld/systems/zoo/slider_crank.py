@@ -44,7 +44,7 @@ class SliderCrank(AbstractLoop):
       <worldbody>
         <light pos="1 -2 4" dir="-.1 .4 -1" diffuse=".6 .6 .6"/>
         <camera pos=".5 -3 .1" zaxis="0 -1 0"/>
-        <geom type="plane" size="8 8 .1" pos="0 0 -.55" material="floor"/>
+        <geom type="plane" size="8 8 .25" pos="0 0 -.55" material="floor"/>
         <geom type="cylinder" fromto="0 .1 0 0 .2 0" size=".22" rgba=".3 .3 .35 1"/>
         <geom type="box" size=".55 .06 .03" pos=".9 .06 -.2" rgba=".3 .3 .35 1"/>
         <body>

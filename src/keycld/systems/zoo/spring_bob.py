@@ -39,7 +39,7 @@ class SpringBob(AbstractZooSystem):
       <worldbody>
         <light pos="-1 -2.5 2" dir=".5 1 -.6" diffuse=".4 .4 .4"/>
         <camera pos=".35 -3 -.25" zaxis="0 -1 0"/>
-        <geom type="plane" size="2.5 2.5 .1" pos=".35 .45 -.25" zaxis="0 -1 0" material="wall"/>
+        <geom type="plane" size="2.5 2.5 .25" pos=".35 .45 -.25" zaxis="0 -1 0" material="wall"/>
         <geom type="box" size=".3 .1 .05" pos="0 0 .75" rgba=".4 .25 .15 1"/>
         <site name="top" pos="0 0 .7" size=".01"/>
         <body>

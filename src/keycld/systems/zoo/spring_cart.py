@@ -41,7 +41,7 @@ class SpringCart(AbstractZooSystem):
       <worldbody>
         <light pos="-1 -2 4" dir=".25 .5 -1" diffuse=".6 .6 .6"/>
         <camera pos="0 -3 .25" zaxis="0 -1 0"/>
-        <geom type="plane" size="6 6 .1" pos="0 0 -.45" material="tiles"/>
+        <geom type="plane" size="6 6 .25" pos="0 0 -.45" material="tiles"/>
         <geom type="box" size="1.2 .1 .03" pos="0 .06 -.19" rgba=".35 .35 .4 1"/>
         <geom type="box" size=".04 .15 .3" pos="-1.16 .06 0" rgba=".35 .35 .4 1"/>
         <geom type="box" size=".04 .15 .3" pos="1.16 .06 0" rgba=".35 .35 .4 1"/>

@@ -43,7 +43,7 @@ class SpringCartPendulum(AbstractZooSystem):
       <worldbody>
         <light pos="0 -1 4" dir="0 .3 -1" diffuse=".5 .5 .5"/>
         <camera pos="0 -3.2 -.2" zaxis="0 -1 0"/>
-        <geom type="plane" size="8 8 .1" pos="0 0 -1.1" material="grass"/>
+        <geom type="plane" size="8 8 .25" pos="0 0 -1.1" material="grass"/>
         <geom type="capsule" fromto="-1.3 .12 0 1.3 .12 0" size=".02" rgba=".3 .3 .3 1"/>
         <site name="left" pos="-1.35 .06 0" size=".01"/>
         <site name="right" pos="1.35 .06 0" size=".01"/>

@@ -44,7 +44,7 @@ class TiltedBead(AbstractZooSystem):
       <worldbody>
         <light pos=".5 -2.5 3" dir="-.1 .8 -1" diffuse=".6 .6 .6"/>
         <camera pos=".1 -2.8 -.15" zaxis="0 -1 0"/>
-        <geom type="plane" size="5 5 .1" pos="0 .3 0" zaxis="0 -1 0" material="wall"/>
+        <geom type="plane" size="5 5 .25" pos="0 .3 0" zaxis="0 -1 0" material="wall"/>
         <body euler="0 20 0">
           <geom type="box" size="1.05 .08 .025" pos=".15 .08 -.19" mass="0" rgba=".3 .25 .3 1"/>
           <geom type="box" size=".03 .08 .2" pos="-.82 .08 -.02" mass="0" rgba=".3 .25 .3 1"/>
