@@ -133,6 +133,31 @@ def test_a_quota_is_a_full_disk(tmp_path, number, monkeypatch):
     assert (tmp_path / "a.txt").read_text() == "old" and os.listdir(tmp_path) == ["a.txt"]
 
 
+@pytest.mark.parametrize("refused", range(1, 5))
+def test_a_quota_that_refuses_a_new_name_leaves_the_old_result(tmp_path, refused, monkeypatch):
+    """On btrfs a folder at its quota lets files be removed, but not renamed."""
+    from keycld.evaluation import Evaluation, save_evaluation
+
+    def saved(number):
+        save_evaluation(tmp_path, "test", Evaluation({"a": number}, {"z": np.full(9, number)}))
+
+    def replace(source, target, replace=os.replace):
+        calls.append(target)
+        if len(calls) == refused:
+            raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
+        replace(source, target)
+
+    saved(1)
+    folder, calls = tmp_path / "evaluation", []
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(KeycldError, match="the disk is full while writing"):
+        saved(2)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    saved(2)
+    assert json.loads((folder / "test.json").read_text()) == {"a": 2} and np.load(folder / "test.npz")["z"][0] == 2
+
+
 def spoil(path, change):
     write(path, sample())
     with h5py.File(path, "r+") as file:
