@@ -73,6 +73,19 @@ def test_a_bench_run_that_was_killed_at_its_first_file_is_not_moved_aside(tmp_pa
     assert [path.name for path in tmp_path.rglob("*")] == ["run"]
 
 
+def test_what_killed_experiments_left_hidden_goes_although_they_are_done(tmp_path):
+    from keycld.benchmarks import Place, run_experiments, suite_named
+
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    [experiment] = suite_named("keycld").select(systems=("pendulum",), models=("keycld",), seeds=(0,))
+    place = Place(tmp_path / "root", tmp_path / "results")
+    for file in (place.run(experiment) / "evaluation" / "test@50.json", place.result(experiment)):
+        (file.parent / f".{file.name}.{dead.pid}@{os.uname().nodename}.partial").mkdir(parents=True)
+    run_experiments([experiment], place, child=("true",), say=lambda line: None)
+    assert not list(tmp_path.rglob(".*.partial"))
+
+
 def test_a_bench_run_that_was_killed_before_its_verdict_gets_one(tmp_path, monkeypatch):
     import keycld.training
     from keycld.benchmarks import Place, suite_named
@@ -410,6 +423,11 @@ def test_damaged_files_give_one_sentence(tmp_path, monkeypatch, capsys):
         said = capsys.readouterr().err
         assert code in (0, 2) and "did not foresee" not in said, (seed, done, said)
         assert (code == 2) == ("keycld: " in said)
+
+
+def test_a_folder_in_place_of_a_file_to_predict(tmp_path, capsys):
+    assert main(["predict", "pendulum", "--data", str(tmp_path), "--out", str(tmp_path / "out.h5")]) == 2
+    assert f"{tmp_path} is a folder: name a file in it, such as" in capsys.readouterr().err
 
 
 def test_a_second_process_waits_for_the_lock(tmp_path):
