@@ -73,6 +73,19 @@ def test_a_bench_run_that_was_killed_at_its_first_file_is_not_moved_aside(tmp_pa
     assert [path.name for path in tmp_path.rglob("*")] == ["run"]
 
 
+def test_what_killed_experiments_left_hidden_goes_although_they_are_done(tmp_path):
+    from keycld.benchmarks import Place, run_experiments, suite_named
+
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    [experiment] = suite_named("keycld").select(systems=("pendulum",), models=("keycld",), seeds=(0,))
+    place = Place(tmp_path / "root", tmp_path / "results")
+    for file in (place.run(experiment) / "evaluation" / "test@50.json", place.result(experiment)):
+        (file.parent / f".{file.name}.{dead.pid}@{os.uname().nodename}.partial").mkdir(parents=True)
+    run_experiments([experiment], place, child=("true",), say=lambda line: None)
+    assert not list(tmp_path.rglob(".*.partial"))
+
+
 def test_a_bench_run_that_was_killed_before_its_verdict_gets_one(tmp_path, monkeypatch):
     import keycld.training
     from keycld.benchmarks import Place, suite_named
@@ -131,6 +144,31 @@ def test_a_quota_is_a_full_disk(tmp_path, number, monkeypatch):
     with pytest.raises(KeycldError, match="the disk is full while writing"):
         write_text(tmp_path / "a.txt", "new")
     assert (tmp_path / "a.txt").read_text() == "old" and os.listdir(tmp_path) == ["a.txt"]
+
+
+@pytest.mark.parametrize("refused", range(1, 5))
+def test_a_quota_that_refuses_a_new_name_leaves_the_old_result(tmp_path, refused, monkeypatch):
+    """On btrfs a folder at its quota lets files be removed, but not renamed."""
+    from keycld.evaluation import Evaluation, save_evaluation
+
+    def saved(number):
+        save_evaluation(tmp_path, "test", Evaluation({"a": number}, {"z": np.full(9, number)}))
+
+    def replace(source, target, replace=os.replace):
+        calls.append(target)
+        if len(calls) == refused:
+            raise OSError(errno.EDQUOT, os.strerror(errno.EDQUOT))
+        replace(source, target)
+
+    saved(1)
+    folder, calls = tmp_path / "evaluation", []
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    monkeypatch.setattr(os, "replace", replace)
+    with pytest.raises(KeycldError, match="the disk is full while writing"):
+        saved(2)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+    saved(2)
+    assert json.loads((folder / "test.json").read_text()) == {"a": 2} and np.load(folder / "test.npz")["z"][0] == 2
 
 
 def spoil(path, change):
@@ -385,6 +423,11 @@ def test_damaged_files_give_one_sentence(tmp_path, monkeypatch, capsys):
         said = capsys.readouterr().err
         assert code in (0, 2) and "did not foresee" not in said, (seed, done, said)
         assert (code == 2) == ("keycld: " in said)
+
+
+def test_a_folder_in_place_of_a_file_to_predict(tmp_path, capsys):
+    assert main(["predict", "pendulum", "--data", str(tmp_path), "--out", str(tmp_path / "out.h5")]) == 2
+    assert f"{tmp_path} is a folder: name a file in it, such as" in capsys.readouterr().err
 
 
 def test_a_second_process_waits_for_the_lock(tmp_path):

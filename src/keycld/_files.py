@@ -32,24 +32,68 @@ def replacing(path: str | Path) -> Iterator[Path]:
         KeycldError: `path` is a folder or a device, the folder cannot be made or written, or the disk is full.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():
-        kind = "a folder" if path.is_dir() else "no regular file"
-        raise KeycldError(f"{path} is {kind}, and stays as it is: choose another name to write to.")
+    with _hidden(path) as hidden:
+        yield hidden / path.name
+        sync(hidden / path.name)
+        os.replace(hidden / path.name, path)
+        sync(path.parent)
+
+
+@contextlib.contextmanager
+def replacing_both(path: Path, other: Path) -> Iterator[tuple[Path, Path]]:
+    """Yield temporary paths of two files of one folder that belong together; as `replacing`, for both or for none.
+
+    `path` goes first and appears last: who sees it sees both, of one writer. A process that is killed between these
+    steps leaves neither.
+
+    Raises:
+        KeycldError: as `replacing`.
+    """
+    _refuse_special(other)
+    with _hidden(path) as hidden:
+        yield hidden / path.name, hidden / other.name
+        for each in (path, other):
+            sync(hidden / each.name)
+        old = hidden / "old"
+        old.mkdir()
+        moves = [(each, old / each.name) for each in (path, other) if each.exists()]
+        moves += [(hidden / each.name, each) for each in (other, path)]
+        done: list[tuple[Path, Path]] = []
+        try:
+            for source, target in moves:
+                os.replace(source, target)
+                done.append((source, target))
+        except OSError:
+            # A quota may refuse even a new name. What these steps have taken of it is free after a commit.
+            os.sync()
+            for source, target in reversed(done):
+                os.replace(target, source)
+            raise
+        sync(path.parent)
+
+
+@contextlib.contextmanager
+def _hidden(path: Path) -> Iterator[Path]:
+    """Yield a new hidden folder, which goes at the end, next to the file that is to be written."""
+    _refuse_special(path)
     # In a hidden folder the file keeps its name and suffix, and listings of the outer folder do not show it.
     hidden = path.with_name(f".{path.name}.{os.getpid()}@{socket.gethostname()}.partial")
     _open.add(hidden)
     try:
         hidden.mkdir(parents=True, exist_ok=True)
         remove_orphans(path.parent, path.name)
-        yield hidden / path.name
-        sync(hidden / path.name)
-        os.replace(hidden / path.name, path)
-        sync(path.parent)
+        yield hidden
     except OSError as error:
         raise writing_error(path, error) from error
     finally:
         shutil.rmtree(hidden, ignore_errors=True)
         _open.discard(hidden)
+
+
+def _refuse_special(path: Path) -> None:
+    if path.exists() and not path.is_file():
+        kind = "a folder" if path.is_dir() else "no regular file"
+        raise KeycldError(f"{path} is {kind}, and stays as it is: choose another name to write to.")
 
 
 def discard_partial() -> None:

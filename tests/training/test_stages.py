@@ -10,7 +10,7 @@ import pytest
 from keycld._errors import KeycldError
 from keycld.data import FrameGroups, RandomFrames, Resident, WholeTrajectories
 from keycld.models.keycld.judge import judge_trained, judge_vision
-from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, warmup_cosine
+from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, part, warmup_cosine
 from keycld.training.step import diagnose, initial_progress, make_step
 from keycld.vision import Observation
 
@@ -115,7 +115,7 @@ def stage(**changes):
 def test_a_group_that_matches_nothing_is_an_error():
     model = Model(jnp.zeros(2), jnp.ones(3))
     for where in (lambda m: m.no_such_field, lambda m: ()):
-        with pytest.raises(KeycldError, match="group 'lost' of stage 's' matches no parameter"):
+        with pytest.raises(KeycldError, match="stage 's': group 'lost' matches no parameter"):
             stage(groups=(MOVING, Group("lost", where, 0.1))).trainable(model)
 
 
@@ -124,6 +124,29 @@ def test_of_two_groups_the_later_one_counts_and_a_rate_of_zero_freezes():
     model = Model(jnp.zeros(2), jnp.ones(3))
     assert stage(groups=(everything, Group("frozen", lambda m: m.still, 0.0))).labels(model) == ["all", None]
     assert stage(groups=(MOVING, everything)).labels(model) == ["all", "all"]
+
+
+def test_stages_that_differ_in_numbers_share_a_program_also_after_the_first_step(data):
+    """A fresh model may hold weakly typed numbers; those that a step returns are not."""
+    traced = []
+
+    class Counted(AbstractLoss):
+        weight: float
+
+        def __call__(self, model, clips, *, key, step):
+            traced.append(self.weight)
+            loss = self.weight * jnp.sum((model.moving - 3.0) ** 2)
+            return loss, {"squares": loss}
+
+    for number, (weight, rate) in enumerate([(1.0, 0.1), (2.0, 0.3)]):
+        model = Model(jnp.full(2, 0.0), jnp.full(3, 1.0))
+        chosen = stage(name=str(number), loss=Counted(weight), groups=(Group("moving", part("moving"), rate),))
+        progress, rest = initial_progress(chosen, model)
+        run = make_step(chosen, number, number, 5)
+        for _ in range(3):
+            progress, terms = run((rest, data), progress)
+        assert float(terms["loss"][-1]) < 18 * weight
+    assert len(traced) == 1
 
 
 class Ascending(AbstractStatefulLoss):

@@ -236,9 +236,12 @@ def _child(root: str, results: str) -> int:
     from keycld.benchmarks import Place
     from keycld.benchmarks.child import main as child
     from keycld.benchmarks.running import TAKEN
+    from keycld.benchmarks.status import remove_leftovers
 
-    use_compile_cache()  # as `bench run` does, which starts it
+    # As `bench run` does, which starts it.
+    use_compile_cache()
     experiment = small_experiment()
+    remove_leftovers(experiment, Place(Path(root), Path(results)))
     try:
         with contextlib.redirect_stderr(io.StringIO()):
             code = child([str(os.getppid()), experiment.to_json(), root, results])

@@ -212,7 +212,7 @@ def packaged(folder: Path) -> None:
 
 
 def begun_demo(folder: Path) -> None:
-    """Make data in MuJoCo, and the run of a demo up to the middle of its training."""
+    """Make data in MuJoCo, and the run of a demo up to the last stage of its training."""
     from keycld.cli.settings import parse_setting
     from keycld.data import make_data
     from keycld.models import config_for
@@ -222,11 +222,11 @@ def begun_demo(folder: Path) -> None:
     run, settings = folder / "begun", config_for("keycld", "fast", **dict(parse_setting(text) for text in DEMO))
     train(folder / "mujoco", run, settings, log_every=2, checkpoint_seconds=0.0, keep=99)
     stages = sorted((run / "checkpoints").glob("*-*"))
-    for path in stages[len(stages) // 2 :]:
-        shutil.rmtree(path)
-    (run / "checkpoints/latest").write_text(stages[len(stages) // 2 - 1].name)
+    shutil.rmtree(stages[-1])
+    (run / "checkpoints/latest").write_text(stages[-2].name)
     (run / "verdict.json").unlink()
-    _json(run / "config.json", _loaded(run / "config.json") | {"epsilon": _EPSILON})
+    # The data as seen from the folder of a case.
+    _json(run / "config.json", _loaded(run / "config.json") | {"epsilon": _EPSILON, "data": "work/mujoco"})
 
 
 def watched(folder: Path) -> None:

@@ -20,7 +20,7 @@ from validation.faults.signals import ALSO
 
 # Those whose writing is that of another one are left out.
 _LEFT_OUT = ("data make of a toy", "train of KeyCLD", "bench figures", "export to mjcf", "export to mujoco-sysid",
-             "export to lerobot", "models", "info", "bench status")  # fmt: skip
+             "export to lerobot", "models", "info", "bench status", "watch again")  # fmt: skip
 VERBS = {name: words for name, words in {**WRITERS, **ALSO}.items() if name not in _LEFT_OUT}
 # The run folder and the data that a pair with one of these shares.
 _SHARED = {"demo": ("begun", "mujoco"), "watch": ("watched", "watched/data")}

@@ -25,6 +25,7 @@ from validation.faults.kill import VERBS, fresh
 
 ALSO: dict[str, tuple[str, ...]] = {
     "data check": ("data", "check", "{work}/data"),
+    "watch again": tuple(word.replace("/new", "/watched") for word in VERBS["watch"]),
     "models": ("models",),
     "info": ("info",),
     "bench status": ("bench", "status", "keycld", "--root", "{work}/bench", "--results", "{work}/results"),

@@ -13,7 +13,7 @@ from typing import IO, Any
 
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import record_failure
-from keycld.benchmarks.status import LOG, Status, count_states, status_of
+from keycld.benchmarks.status import LOG, Status, count_states, remove_leftovers, status_of
 from keycld.evaluation import headline_vpt
 
 # Exit codes of the process of an experiment.
@@ -77,6 +77,8 @@ def run_experiments(
     Returns:
         number of experiments in each state at the end (`status_of`).
     """
+    for experiment in experiments:
+        remove_leftovers(experiment, place)
     before = [status_of(experiment, place) for experiment in experiments]
     costs: dict[str, list[float]] = {}
     for experiment, status in zip(experiments, before, strict=True):

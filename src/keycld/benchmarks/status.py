@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
 from keycld._errors import KeycldError
-from keycld._files import read_text
+from keycld._files import read_text, remove_orphans
 from keycld._lock import holder
 from keycld.benchmarks.experiment import Experiment, Place
 from keycld.benchmarks.results import Failure, Result, read_json
@@ -59,6 +59,14 @@ def status_of(experiment: Experiment, place: Place) -> Status:
     if pointer.exists():
         return Status("missing", f"interrupted after {read_text(pointer).strip()}", None)
     return Status("missing", damage, None)
+
+
+def remove_leftovers(experiment: Experiment, place: Place) -> None:
+    """Remove the hidden folders of killed processes, also where everything that they wrote is complete."""
+    run = place.run(experiment)
+    for folder in (run, run / "evaluation", place.result(experiment).parent):
+        if folder.is_dir():
+            remove_orphans(folder)
 
 
 def status_table(experiments: Sequence[Experiment], place: Place) -> str:

@@ -36,6 +36,8 @@ def predict(
     from keycld.evaluation import predict_file
     from keycld.training import Counted, load_model
 
+    if data.is_dir():
+        raise KeycldError(f"{data} is a folder: name a file in it, such as {data / 'test.h5'}.")
     model, config = load_model(run)
     with tempfile.TemporaryDirectory() as folder:
         file = data

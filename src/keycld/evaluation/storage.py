@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from keycld._errors import KeycldError
-from keycld._files import replacing, sync
+from keycld._files import replacing_both
 from keycld._lock import alone
 from keycld._records import Unexpected, damaged, read_arrays, read_json
 from keycld.evaluation.outcome import Evaluation
@@ -18,16 +18,12 @@ from keycld.evaluation.stored import check_arrays, checked_scores, layout, requi
 def save_evaluation(folder: str | Path, name: str, evaluation: Evaluation) -> Path:
     """Write `evaluation/NAME.npz` and `evaluation/NAME.json` of a run folder; return the latter's path.
 
-    Both are on the disk before an old result is touched. Its JSON is removed before the arrays are replaced, and the
-    new one appears last, so a result that can be seen is complete.
+    A result that can be seen is complete, and an old one stays if the new one cannot be written.
     """
     path = Path(folder) / "evaluation" / f"{name}.json"
-    with alone(path.parent, "stores results"), replacing(path) as scores, replacing(path.with_suffix(".npz")) as arrays:
+    with alone(path.parent, "stores results"), replacing_both(path, path.with_suffix(".npz")) as (scores, arrays):
         np.savez_compressed(arrays, allow_pickle=False, **evaluation.arrays)
         scores.write_text(as_json(evaluation.scores) + "\n", encoding="utf-8")
-        sync(arrays)
-        sync(scores)
-        path.unlink(missing_ok=True)
     return path
 
 

@@ -1,6 +1,8 @@
 """Stages, the parts of a recipe: what is sampled, what is minimised and which parameters are trained."""
 
 import dataclasses
+import functools
+import operator
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
@@ -14,6 +16,15 @@ from keycld.data import AbstractSampler, Resident
 from keycld.stages.losses import AbstractLoss, AbstractStatefulLoss
 from keycld.stages.optimisers import adam
 
+# `part("estimator", "renderer")` is `lambda model: (model.estimator, model.renderer)`, and equal to itself.
+part = functools.cache(operator.attrgetter)
+
+
+def whole(model: Any) -> Any:
+    """Return the model: selects all parameters."""
+    return model
+
+
 MakeOptimiser = Callable[[optax.Schedule], optax.GradientTransformation]
 
 
@@ -23,7 +34,7 @@ class Group:
 
     Attributes:
         name: for messages and the optimiser's state.
-        where: selects the parameters: a function from the model to its parts, such as `lambda m: m.dynamics`.
+        where: selects the parameters: a function from the model to its parts, such as `part("dynamics")`.
         rate: their peak learning rate; zero freezes them.
         optimiser: makes an optax transformation from a schedule; None: the one of the stage.
     """
@@ -32,6 +43,60 @@ class Group:
     where: Callable[[Any], Any]
     rate: float
     optimiser: MakeOptimiser | None = None
+
+
+@dataclasses.dataclass(frozen=True)
+class Rule:
+    """What turns the gradients of a stage into steps, apart from the learning rates.
+
+    Rules with equal attributes are equal, so that stages that differ in numbers only share one compiled program.
+
+    Attributes:
+        groups: as in `Stage`, with 1 for every rate above zero.
+        optimiser: as in `Stage`.
+        clip: as in `Stage`.
+    """
+
+    groups: tuple[Group, ...]
+    optimiser: MakeOptimiser
+    clip: float | None
+
+    def labels(self, model: eqx.Module) -> list[str | None]:
+        """Return the name of the group of each leaf of the model, None where it is not trained.
+
+        Raises:
+            KeycldError: a group matches no parameter.
+        """
+        leaves, structure = jax.tree.flatten(model)
+        numbered = jax.tree.unflatten(structure, range(len(leaves)))
+        names: list[str | None] = [None] * len(leaves)
+        for group in self.groups:
+            try:
+                chosen = jax.tree.leaves(group.where(numbered))
+            except AttributeError:
+                chosen = []
+            trainable = [k for k in chosen if isinstance(k, int) and _is_parameter(leaves[k])]
+            if not trainable:
+                raise KeycldError(f"group '{group.name}' matches no parameter of this model: correct or remove it.")
+            for k in trainable:
+                names[k] = group.name if group.rate > 0 else None
+        return names
+
+    def transformation(self, model: eqx.Module, rates: Mapping[str, jax.Array | float]) -> optax.GradientTransformation:
+        """Return the optimiser for the trainable part of a model, with the learning rates of one step."""
+
+        def constant(rate: jax.Array | float) -> optax.Schedule:
+            return lambda count: rate
+
+        rules: dict[Hashable, optax.GradientTransformation] = {
+            group.name: (group.optimiser or self.optimiser)(constant(rates[group.name]))
+            for group in self.groups
+            if group.rate > 0
+        }
+        combined = optax.multi_transform(rules, jax.tree.unflatten(jax.tree.structure(model), self.labels(model)))
+        if self.clip is None:
+            return combined
+        return optax.chain(optax.clip_by_global_norm(self.clip), combined)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,23 +152,10 @@ class Stage:
         Raises:
             KeycldError: a group matches no parameter.
         """
-        leaves, structure = jax.tree.flatten(model)
-        numbered = jax.tree.unflatten(structure, range(len(leaves)))
-        names: list[str | None] = [None] * len(leaves)
-        for group in self.groups:
-            try:
-                chosen = jax.tree.leaves(group.where(numbered))
-            except AttributeError:
-                chosen = []
-            trainable = [k for k in chosen if isinstance(k, int) and _is_parameter(leaves[k])]
-            if not trainable:
-                raise KeycldError(
-                    f"group '{group.name}' of stage '{self.name}' matches no parameter of this model: correct or "
-                    "remove it."
-                )
-            for k in trainable:
-                names[k] = group.name if group.rate > 0 else None
-        return names
+        try:
+            return self.rule.labels(model)
+        except KeycldError as error:
+            raise KeycldError(f"stage '{self.name}': {error}") from None
 
     def trainable(self, model: eqx.Module) -> Any:
         """Return a pytree with the structure of the model: True at each leaf that this stage trains."""
@@ -122,21 +174,11 @@ class Stage:
             if group.rate > 0
         }
 
-    def transformation(self, model: eqx.Module, rates: Mapping[str, jax.Array | float]) -> optax.GradientTransformation:
-        """Return the optimiser of this stage for the trainable part of a model, with the learning rates of one step."""
-
-        def constant(rate: jax.Array | float) -> optax.Schedule:
-            return lambda count: rate
-
-        rules: dict[Hashable, optax.GradientTransformation] = {
-            group.name: (group.optimiser or self.optimiser)(constant(rates[group.name]))
-            for group in self.groups
-            if group.rate > 0
-        }
-        combined = optax.multi_transform(rules, jax.tree.unflatten(jax.tree.structure(model), self.labels(model)))
-        if self.clip is None:
-            return combined
-        return optax.chain(optax.clip_by_global_norm(self.clip), combined)
+    @property
+    def rule(self) -> Rule:
+        """What turns gradients into steps."""
+        groups = tuple(dataclasses.replace(group, rate=float(group.rate > 0)) for group in self.groups)
+        return Rule(groups, self.optimiser, self.clip)
 
     @property
     def numbers(self) -> Any:

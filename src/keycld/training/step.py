@@ -12,7 +12,7 @@ from jaxtyping import Array
 
 from keycld._errors import KeycldError
 from keycld.data import Clip, Resident
-from keycld.stages import AbstractLoss, AbstractStatefulLoss, Stage
+from keycld.stages import AbstractLoss, AbstractStatefulLoss, Rule, Stage
 from keycld.training.devices import Devices
 
 
@@ -38,7 +38,7 @@ class Progress(NamedTuple):
 def initial_progress(stage: Stage, model: eqx.Module) -> tuple[Progress, Any]:
     """Return the progress at the stage's first step, and the part of the model that the stage does not train."""
     parameters, rest = _parted(stage, model)
-    state = stage.transformation(model, stage.rates()).init(parameters)
+    state = stage.rule.transformation(model, stage.rates()).init(parameters)
     # Copies too: a step donates its buffers, and the same initial state may serve several candidates.
     memory = jax.tree.map(jnp.array, stage.loss.initial()) if isinstance(stage.loss, AbstractStatefulLoss) else ()
     return Progress(parameters, state, memory, jnp.array(0), jnp.array(True)), rest
@@ -51,9 +51,10 @@ def refreshed(stage: Stage, model: eqx.Module, progress: Progress) -> tuple[Prog
 
 
 def _parted(stage: Stage, model: eqx.Module) -> tuple[Any, Any]:
-    parameters, rest = eqx.partition(model, stage.trainable(model))
-    # A copy, because a step donates its buffers and the caller may still hold the model.
-    return jax.tree.map(jnp.copy, parameters), rest
+    # Copies, because a step donates buffers that the caller may still hold. With their dtypes, because a step would be
+    # compiled twice otherwise: for weakly typed numbers, and for the strongly typed ones that it returns.
+    strong = jax.tree.map(lambda leaf: jnp.array(leaf, leaf.dtype) if eqx.is_array(leaf) else leaf, model)
+    return eqx.partition(strong, stage.trainable(strong))
 
 
 def make_step(stage: Stage, number: int, seed: int, steps: int, devices: Devices = Devices()) -> Callable:  # noqa: B008
@@ -75,30 +76,34 @@ def make_step(stage: Stage, number: int, seed: int, steps: int, devices: Devices
     # Arguments, not constants, of the program: a stage that differs from another in numbers only, such as its seed, its
     # steps, rates or weights, does not compile again.
     chosen = devices.everywhere((step_keys(seed, number), stage.rates(), stage.numbers))
+    rule = stage.rule
+    return lambda fixed, progress: _run((rule, devices, steps, chosen, *fixed), progress)
 
-    def one(progress: Progress, chosen: Any, rest: Any, data: Resident) -> tuple[Progress, dict[str, Array]]:
-        (clip_key, loss_key), rates, (sampler, objective) = chosen
+
+@functools.partial(eqx.filter_jit, donate="all-except-first")
+def _run(fixed: tuple[Rule, Devices, int, Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
+    """Take some steps. What is no array in `fixed` decides which program does it."""
+    rule, devices, steps, (keys, rates, (sampler, objective)), rest, data = fixed
+    clip_key, loss_key = keys
+
+    def one(progress: Progress) -> tuple[Progress, dict[str, Array]]:
         clips = devices.divided(sampler(data, clip_key, progress.step))
         key = jax.random.fold_in(loss_key, progress.step)
         (loss, (terms, memory)), gradient = _gradient(objective, rest, clips, key, progress)
         # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
         healthy = progress.healthy & jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
         now = {name: rate[progress.step] for name, rate in rates.items()}
-        transformation = stage.transformation(eqx.combine(progress.parameters, rest), now)
+        transformation = rule.transformation(eqx.combine(progress.parameters, rest), now)
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
         stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
         kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
         parameters, optimiser, memory, number = kept
         return devices.whole((Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}))
 
-    @functools.partial(eqx.filter_jit, donate="all-except-first")
-    def run(fixed: tuple[Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
-        if steps == 1:
-            progress, terms = one(progress, *fixed)
-            return progress, jax.tree.map(lambda term: term[None], terms)
-        return jax.lax.scan(lambda carry, _: one(carry, *fixed), progress, length=steps)
-
-    return lambda fixed, progress: run((chosen, *fixed), progress)
+    if steps == 1:
+        progress, terms = one(progress)
+        return progress, jax.tree.map(lambda term: term[None], terms)
+    return jax.lax.scan(lambda carry, _: one(carry), progress, length=steps)
 
 
 def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:

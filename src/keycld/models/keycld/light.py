@@ -42,7 +42,7 @@ from keycld.models.keycld.prepare import (
 from keycld.models.keycld.published import check_sizes, plain_initial_state
 from keycld.models.keycld.velocity_prior import VelocityPrior
 from keycld.models.scene import Scene
-from keycld.stages import Group, Stage, muon, warmup_cosine
+from keycld.stages import Group, Stage, muon, part, warmup_cosine
 from keycld.vision import (
     AbstractEstimator,
     AbstractRenderer,
@@ -59,6 +59,8 @@ if TYPE_CHECKING:
 
 # Pixels of error that a law may have before the stage joint.
 _SMALL = 0.5
+# Only kernels of networks are matrices that act on others: mass and input matrices are trained by Adam.
+_MUON = functools.partial(muon, dense=False)
 
 
 def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeypointModel:
@@ -163,8 +165,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         sampler=RandomFrames(first.batch // 2, 2) if config.looks else RandomFrames(first.batch),
         loss=images,
         groups=(
-            Group("estimator", lambda m: m.estimator, first.rate),
-            Group("renderer", lambda m: m.renderer, first.rate),
+            Group("estimator", part("estimator"), first.rate),
+            Group("renderer", part("renderer"), first.rate),
         ),
         optimiser=muon,
         schedule=warmup_cosine,
@@ -195,9 +197,9 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             scale=third.scale,
         ),
         groups=(
-            Group("estimator", lambda m: m.estimator, third.rate),
-            Group("renderer", lambda m: m.renderer, third.rate),
-            Group("dynamics", _forces, third.energy_rate, functools.partial(muon, dense=False)),
+            Group("estimator", part("estimator"), third.rate),
+            Group("renderer", part("renderer"), third.rate),
+            Group("dynamics", _forces, third.energy_rate, _MUON),
         ),
         optimiser=muon,
         schedule=warmup_cosine,
@@ -243,7 +245,7 @@ def _gradient_stage(config: "DynamicsStage", clips: Callable[..., FrameGroups]) 
         steps=config.steps,
         sampler=clips(config.batch, config.horizons, config.steps, cached=True),
         loss=TrackLoss(config.scale),
-        groups=(Group("dynamics", lambda m: m.dynamics, config.rate),),
+        groups=(Group("dynamics", part("dynamics"), config.rate),),
         schedule=functools.partial(warmup_cosine, final=0.1),
         clip=1.0,
         prepare=sequence(cache_keypoints, share_constants),

@@ -135,7 +135,7 @@ class LatentConfig(ModelConfig):
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return one stage that trains everything, with a validation score at its end."""
         from keycld.data import Windows
-        from keycld.stages import Group, Stage
+        from keycld.stages import Group, Stage, whole
 
         return (
             Stage(
@@ -143,7 +143,7 @@ class LatentConfig(ModelConfig):
                 steps=self.steps,
                 sampler=Windows(self.batch, self.window(scene)),
                 loss=self.loss(scene),
-                groups=(Group("model", lambda m: m, self.rate),),
+                groups=(Group("model", whole, self.rate),),
                 validate=True,
             ),
         )
@@ -201,7 +201,7 @@ class FastSettings(LatentConfig):
         from functools import partial
 
         from keycld.data import Windows
-        from keycld.stages import Group, Stage, warmup_cosine
+        from keycld.stages import Group, Stage, warmup_cosine, whole
 
         first = [round(share * self.steps) for share in self.shares]
         counts = [*first, self.steps - sum(first)]
@@ -211,7 +211,7 @@ class FastSettings(LatentConfig):
                 steps=count,
                 sampler=Windows(self.batch, self.window(scene, targets)),
                 loss=self.loss(scene),
-                groups=(Group("model", lambda m: m, self.rate),),
+                groups=(Group("model", whole, self.rate),),
                 schedule=partial(warmup_cosine, warmup=self.warmup, final=self.final if last else 1.0),
                 clip=self.clip,
                 validate=last,

@@ -73,7 +73,7 @@ class RecurrentConfig(ModelConfig):
         """Return one stage that trains everything, with a validation score at its end."""
         from keycld.data import Windows
         from keycld.models.recurrent.losses import NextFrameLoss
-        from keycld.stages import Group, Stage
+        from keycld.stages import Group, Stage, whole
 
         at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
         return (
@@ -82,7 +82,7 @@ class RecurrentConfig(ModelConfig):
                 steps=self.steps,
                 sampler=Windows(self.batch, min(self.window, scene.frames)),
                 loss=NextFrameLoss(self.rendered, at_once),
-                groups=(Group("model", lambda m: m, self.rate),),
+                groups=(Group("model", whole, self.rate),),
                 validate=True,
             ),
         )

@@ -60,7 +60,7 @@ class JournalConfig(PublishedConfig):
         import optax
 
         from keycld.models.keycld.short_rollout_loss import ShortRolloutLoss
-        from keycld.stages import Group
+        from keycld.stages import Group, part
 
         def adam(schedule: "optax.Schedule") -> "optax.GradientTransformation":
             return optax.chain(optax.clip(self.clip), optax.adam(schedule))
@@ -73,7 +73,7 @@ class JournalConfig(PublishedConfig):
             augment=self.augment,
         )
         groups = (
-            Group("vision", lambda m: (m.estimator, m.renderer), self.rate),
-            Group("dynamics", lambda m: m.dynamics, self.dynamics_share * self.rate),
+            Group("vision", part("estimator", "renderer"), self.rate),
+            Group("dynamics", part("dynamics"), self.dynamics_share * self.rate),
         )
         return self.stage(scene, loss, groups, adam)

@@ -42,7 +42,7 @@ class PaperConfig(PublishedConfig):
         import optax
 
         from keycld.models.keycld.losses import CollocationLoss
-        from keycld.stages import Group
+        from keycld.stages import Group, part
 
-        everything = Group("model", lambda m: (m.estimator, m.renderer, m.dynamics), self.rate)
+        everything = Group("model", part("estimator", "renderer", "dynamics"), self.rate)
         return self.stage(scene, CollocationLoss(self.weight), (everything,), optax.adam)
