@@ -1,6 +1,12 @@
 """`keycld watch` through the real command line, on tiny synthetic clips."""
 
+import contextlib
 import json
+import socket
+import threading
+import time
+import urllib.error
+import urllib.request
 
 import h5py
 import numpy as np
@@ -8,8 +14,8 @@ import pytest
 
 from keycld import KeycldError
 from keycld.cli.main import main
-from keycld.cli.watch import given, scale_of
-from keycld.drawing import save_movie
+from keycld.cli.watch import measured_by_hand, scale_of
+from keycld.drawing import load_image, save_movie
 from keycld.mechanics import Candidate, load_constraints
 from keycld.models.keycld import discover as discovery
 
@@ -75,6 +81,53 @@ def test_the_same_command_resumes_and_other_clips_need_another_run(place, capsys
     assert (place / "run" / "data" / "train.h5").stat().st_mtime_ns == before
     assert main(words(place, "--fps", "100")) == 2
     assert "is of other fps: choose another --out" in capsys.readouterr().err
+
+
+def test_a_video_played_as_a_camera_is_shown_with_its_next_second(place, capsys):
+    """At the video's speed: 66 frames of 25 a second, of which a browser that is there from the start sees most."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    found = []
+
+    def browse():
+        for _ in range(600):
+            with contextlib.suppress(urllib.error.URLError):
+                page = urllib.request.urlopen(f"http://127.0.0.1:{port}/").read()
+                found.extend([page, urllib.request.urlopen(f"http://127.0.0.1:{port}/pictures").read()])
+                return
+            time.sleep(0.1)
+
+    browser = threading.Thread(target=browse)
+    browser.start()
+    live = ["watch", str(place / "swing.mp4"), "--live", str(place / "run"), "--port", str(port)]
+    assert main([*live, "--ahead", "0.4"]) == 0
+    browser.join()
+    page, stream = found
+    assert b'<img src="pictures"' in page and b"//" not in page
+    pictures = [part.split(b"\r\n\r\n", 1)[1][:-2] for part in stream.split(b"--next\r\n")[1:]]
+    assert len(pictures) >= 5
+    first, last = load_image(pictures[0]), load_image(pictures[-1])
+    assert first.shape == last.shape == (512, 512, 3)
+    # The keypoint's ring and, later, the dots ahead of it have a colour that the grey picture lacks.
+    pink = [np.sum((picture[..., 0] > 200) & (picture[..., 1] < 90)) for picture in (first, last)]
+    assert pink[1] > pink[0] > 0
+    told = capsys.readouterr().out.splitlines()[-1]
+    assert told.startswith("66 frames, ") and "predictions 0.4 s ahead were off by" in told
+
+    for change, sentence in (
+        (["--port", "70000"], "port 70000 cannot be used"),
+        (["--ahead", "0"], "--ahead is a time of 1 to 1000 frames of 0.04 s, not 0.0 s"),
+        (["--given", "1"], "--given is a number of frames from 2 to 1000, not 1"),
+    ):
+        assert main([*live, *change]) == 2
+        assert sentence in capsys.readouterr().err
+    assert main(["watch", "/dev/null", *live[2:]]) == 2
+    assert "/dev/null is no camera that gives pictures of the size" in capsys.readouterr().err
+    assert main(["watch", "a.mp4", "b.mp4", *live[2:]]) == 2
+    assert "--live shows one video or camera, not 2" in capsys.readouterr().err
+    assert main(["watch", "a.mp4"]) == 2
+    assert "name what moves, such as --mechanism pendulum" in capsys.readouterr().err
 
 
 def test_prediction_of_a_video_from_any_moment(place, capsys):
@@ -201,4 +254,4 @@ def test_units_of_a_length():
     assert scale_of("ball – pivot = 31cm", None, "pendulum") == (("pivot", "ball"), pytest.approx(0.31))
     assert scale_of(None, 9.81, "pendulum") == (None, 9.81) and scale_of(None, None, "pendulum") is None
     scale = scale_of("pivot-ball = 310 mm", 9.81, "pendulum")
-    assert given(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}
+    assert measured_by_hand(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}

@@ -35,7 +35,7 @@ def watch(
     clips: Annotated[tyro.conf.Positional[tuple[Path, ...]], tyro.conf.arg(metavar="CLIP ...")],
     /,
     *,
-    mechanism: Annotated[str, tyro.conf.arg(aliases=["--constraints"])],
+    mechanism: Annotated[str | None, tyro.conf.arg(aliases=["--constraints"])] = None,
     fps: float | None = None,
     crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
     plane: Annotated[
@@ -50,6 +50,10 @@ def watch(
     set: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE ...")] = (),
     seed: int = 0,
     json: bool = False,
+    live: Path | None = None,
+    ahead: float = 1.0,
+    given: int = 10,
+    port: int = 8000,
 ) -> None:
     """Learn the physics of a mechanism from one video, or from several of the same place, in minutes.
 
@@ -59,7 +63,7 @@ def watch(
     Args:
         clips: Videos of one mechanism by a camera at rest, of 60 frames to some minutes.
         mechanism: Its name: pendulum, double-pendulum, cart-pole or spring; or a TOML file with keypoints and
-            constraints; or auto, which finds it where parts differ in colour.
+            constraints; or auto, which finds it where parts differ in colour. Needed unless --live is given.
         fps: Frames a second with which the camera recorded, where the file states another rate, such as slow motion.
         crop: Part of the picture to keep, a square in pixels of the video; by default what moves.
         plane: Where the camera looks at the plane of the motion from the side: pixels of the corners of a rectangle in
@@ -73,7 +77,13 @@ def watch(
         set: Settings of the preset clip to change, such as vision.steps=1500.
         seed: Of weights and data order.
         json: Print the contents of evaluation/physics.json, and everything else on the standard error.
+        live: A run folder that keycld watch has made: CLIP is a camera in the same place, such as /dev/video0, or a
+            video that is played as one, and a page shows its keypoints now and predicted.
+        ahead: With --live, seconds to predict.
+        given: With --live, frames to predict from.
+        port: With --live, port of the page on this machine; 0 is a free one.
     """
+    from keycld.cli.live import live as show_live
     from keycld.cli.settings import parse_setting
     from keycld.evaluation import MOTION, as_json, evaluate_motion, load_physics, save_evaluation, save_physics
     from keycld.models import config_for
@@ -84,6 +94,13 @@ def watch(
     began = time.monotonic()
     if not clips:
         raise KeycldError("name at least one video: keycld watch swing.mp4 --mechanism pendulum.")
+    if live is not None:
+        source, *more = clips
+        if more:
+            raise KeycldError(f"--live shows one video or camera, not {1 + len(more)}.")
+        return show_live(source, live, seconds=ahead, given=given, port=port)
+    if mechanism is None:
+        raise KeycldError("name what moves, such as --mechanism pendulum, or find it with --mechanism auto.")
     scale = None if mechanism == AUTO else scale_of(length, gravity, mechanism)
     settings = config_for("keycld", "clip", **dict(parse_setting(text) for text in set))
     run = out or Path("runs") / f"{clips[0].stem}-watch-{seed}"
@@ -103,7 +120,7 @@ def watch(
             motion = evaluate_motion(model, data, progress=Counted("predict"))
             save_evaluation(run, MOTION, motion)
             physics = _measure(run, model, data, motion.scores, chosen, scale)
-            physics["given"] = given(scale, gravity)
+            physics["given"] = measured_by_hand(scale, gravity)
             if compared:
                 physics["alternatives"] = compared
             save_physics(run, physics)
@@ -137,7 +154,7 @@ def scale_of(length: str | None, gravity: float | None, mechanism: str) -> "Scal
     return Scale(known[frozenset(found.group(1, 2))], metres)
 
 
-def given(scale: "Scale | None", gravity: float | None) -> dict[str, float]:
+def measured_by_hand(scale: "Scale | None", gravity: float | None) -> dict[str, float]:
     """Return what the user has measured, by the names of the constants in metres."""
     length = {} if scale is None or scale.between is None else {f"length_{'_'.join(scale.between)}_m": scale.value}
     return length | ({} if gravity is None else {"gravity_m": gravity})

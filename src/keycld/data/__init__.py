@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from keycld.data.generate.make import make_data as make_data
     from keycld.data.generate.protocols import PROTOCOLS as PROTOCOLS
     from keycld.data.generate.sweeps import Sweep as Sweep
+    from keycld.data.imports.camera import Seen as Seen
+    from keycld.data.imports.camera import camera_frames as camera_frames
     from keycld.data.imports.clip import ImportedClip as ImportedClip
     from keycld.data.imports.clip import before_test as before_test
     from keycld.data.imports.clip import clip_file as clip_file
@@ -58,6 +60,7 @@ __all__ = [
     "ProgressBar",
     "RandomFrames",
     "Resident",
+    "Seen",
     "FrameGroups",
     "ImportedClip",
     "Sweep",
@@ -66,6 +69,7 @@ __all__ = [
     "WholeTrajectories",
     "Windows",
     "before_test",
+    "camera_frames",
     "check",
     "clip_file",
     "image_statistics",

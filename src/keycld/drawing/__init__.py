@@ -17,6 +17,7 @@ from keycld.drawing.frames import enlarge as enlarge
 from keycld.drawing.frames import labelled_sheet as labelled_sheet
 from keycld.drawing.frames import sheet as sheet
 from keycld.drawing.frames import side_by_side as side_by_side
+from keycld.drawing.overlays import overlay_future as overlay_future
 from keycld.drawing.overlays import overlay_heat_maps as overlay_heat_maps
 from keycld.drawing.overlays import overlay_keypoints as overlay_keypoints
 from keycld.drawing.overlays import overlay_timeline as overlay_timeline
@@ -40,6 +41,7 @@ __all__ = [
     "histogram_figure",
     "labelled_sheet",
     "map_figure",
+    "overlay_future",
     "overlay_heat_maps",
     "overlay_keypoints",
     "overlay_links",

@@ -50,6 +50,27 @@ def overlay_keypoints(
     return canvas
 
 
+def overlay_future(
+    frame: UInt8[np.ndarray, "H W 3"], keypoints: Float[np.ndarray, "K 2"], future: Float[np.ndarray, "T K 2"]
+) -> UInt8[np.ndarray, "H W 3"]:
+    """Put a ringed disc at each keypoint, and dots where it will be, smaller and fainter the later.
+
+    Args:
+        frame: uint8 `[H, W, 3]`.
+        keypoints: `[K, 2]` in image-plane units.
+        future: `[T, K, 2]`, of the frames to come; T may be 0.
+    """
+    picture = overlay_keypoints(frame[None], keypoints[None], scale=1, radius=0.035)[0]
+    height, width, _ = frame.shape
+    centres, size = to_pixels(future, height, width), 0.0125 * min(height, width)
+    for t in range(len(future) - 1, -1, -1):
+        nearness = 1.0 - t / len(future)
+        for k, centre in enumerate(centres[t]):
+            colour = KEYPOINT_COLOURS[k % len(KEYPOINT_COLOURS)]
+            _disc(picture, centre, size * (0.5 + 0.5 * nearness), colour, 0.25 + 0.75 * nearness)
+    return picture
+
+
 def _disc(picture: np.ndarray, centre: np.ndarray, radius: float, colour: tuple, opacity: float) -> None:
     """Blend a smooth-edged disc into `picture`, in place and only in a window around it."""
     if not np.all(np.isfinite(centre)):

@@ -11,6 +11,7 @@ from keycld.evaluation.summary import threshold_text as threshold_text
 
 if TYPE_CHECKING:
     # Tables and the processes of experiments import what they need of this, without models.
+    from keycld.evaluation.ahead import Ahead as Ahead
     from keycld.evaluation.baselines import baseline_predictions as baseline_predictions
     from keycld.evaluation.drift import constraint_drift as constraint_drift
     from keycld.evaluation.drift import energy_drift as energy_drift
@@ -73,6 +74,7 @@ if TYPE_CHECKING:
 __getattr__ = lazily(__name__)
 
 __all__ = [
+    "Ahead",
     "Constant",
     "DM_THRESHOLD",
     "Evaluation",

@@ -77,6 +77,23 @@ def test_terms_that_do_not_act_are_dropped_at_the_end(capsys):
     assert set(terms_of(left.law)) == {"springs"} and "affine V, springs;" in capsys.readouterr().out
 
 
+def test_a_potential_of_free_form_gives_way_to_a_spring_that_explains_as_much(capsys):
+    """x'' = −16 x: errors of earlier keypoints may have hidden the spring."""
+    phase, size = np.linspace(0, 6, 12)[:, None], np.linspace(0.2, 0.6, 12)[:, None]
+    x = size * np.sin(4 * DT * np.arange(FRAMES) + phase)
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    data = recorded(x, np.zeros_like(x))
+    alone, _ = identify_dynamics(model, data, terms=())
+    law = with_kinds(alone.law, ("perceptron",), key=jax.random.key(0))
+    begun, _ = fit_dynamics(eqx.tree_at(lambda m: m.dynamics.law, alone, law), data)
+    found, _ = fit_dynamics(begun, data, tried=Tried())
+    assert set(terms_of(begun.law)) == {"perceptron"} and set(terms_of(found.law)) == {"springs"}
+    assert "affine V, springs;" in capsys.readouterr().out
+    places = jnp.stack([jnp.linspace(-0.5, 0.5, 21), jnp.zeros(21)], axis=1)
+    learned = jax.vmap(lambda x: found.law.acceleration(x, jnp.zeros(2), jnp.zeros(0)))(places)
+    np.testing.assert_allclose(learned[:, 0], -16 * places[:, 0], atol=0.05 * 8)
+
+
 def test_a_pendulum_has_gravity_alone(capsys):
     some = disc_pendulum(12, FRAMES, seed=0)
     angle = some.state[..., 0]

@@ -185,6 +185,32 @@ def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size:
         KeycldError: no such file, not a video, of another size, too long; the data set is not made of a clip.
     """
     video, out = Path(video), Path(out)
+    kept, own, seconds = kept_rate(video, like)
+    if seconds * kept > _MOST:
+        raise KeycldError(f"{video} has more than {_MOST} frames: cut out the part to predict.")
+    left, top, crop_width, crop_height = (int(number) for number in like["crop"])
+    make_folder(out.parent)
+    with spool_in(out.parent) as spool:
+        asked = None if abs(kept - own) < Fraction(1, 100) else float(kept)
+        total, _ = decode(
+            video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1, str(like.get("mapped", ""))
+        )
+        images = np.memmap(spool, np.uint8, "r", shape=(1, total, size, size, 3))
+        attributes = origin([video], 1 / float(like["dt"])) | {"system": str(like["system"])}
+        write(out, as_trajectories(np.asarray(images), attributes))
+    return out
+
+
+def kept_rate(video: Path, like: Mapping[str, Any]) -> tuple[Fraction, Fraction, float]:
+    """Return frames a second that a data set's clips were kept at, a video's own, and its seconds.
+
+    Args:
+        video: from the same camera and place as the data set's.
+        like: attributes of the data set.
+
+    Raises:
+        KeycldError: no such file, not a video, of another size, too slow; the data set is not made of a clip.
+    """
     if not is_clip(like):
         raise KeycldError(f"{video} is a video, but the model learned from other data: give an HDF5 file.")
     if not video.is_file():
@@ -199,19 +225,7 @@ def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size:
     kept = Fraction(float(like["kept_fps"])).limit_denominator(100_000)
     if kept > rate + Fraction(1, 100):
         raise KeycldError(f"{video} has {float(rate):g} frames a second, but the model needs {float(kept):g}.")
-    if seconds * kept > _MOST:
-        raise KeycldError(f"{video} has more than {_MOST} frames: cut out the part to predict.")
-    left, top, crop_width, crop_height = (int(number) for number in like["crop"])
-    make_folder(out.parent)
-    with spool_in(out.parent) as spool:
-        asked = None if abs(kept - rate) < Fraction(1, 100) else float(kept)
-        total, _ = decode(
-            video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1, str(like.get("mapped", ""))
-        )
-        images = np.memmap(spool, np.uint8, "r", shape=(1, total, size, size, 3))
-        attributes = origin([video], 1 / float(like["dt"])) | {"system": str(like["system"])}
-        write(out, as_trajectories(np.asarray(images), attributes))
-    return out
+    return kept, rate, seconds
 
 
 def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:

@@ -29,7 +29,8 @@ from keycld.mechanics import (
 WORTH = 0.2
 # Share by which masses may follow when a term is dropped, for that same cost.
 _FOLLOW = 0.2
-_LAST_RESORT = "perceptron"
+# The potential energy of free form stays if without it the error would be larger than with it divided by this.
+_LAST_RESORT, _LESS = "perceptron", 0.75
 # About how many recordings all terms together are fitted to.
 _FEW = 50
 # Pixels of error with which a law explains the recordings well.
@@ -143,7 +144,7 @@ def identify(
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
         more = _fitted(_with_law(best.dynamics, grown), tracks, best.initial)
         worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
-        if more.rms < 0.75 * best.rms:
+        if more.rms < _LESS * best.rms:
             best = more
     return Identified(best.dynamics, float(best.rms), worth)
 
@@ -158,12 +159,17 @@ def _with_everything(
     affine: Fitted, tracks: Tracks, some: slice, tried: tuple[str, ...] | None, *, good: float
 ) -> Fitted:
     """Fit all terms that are tried to some of the recordings: from the affine fit of all if its error is small."""
-    kinds = [kind for kind, term in term_kinds().items() if (term.tried if tried is None else kind in tried)]
+    kinds = _kinds(tried)
     if affine.rms > good:
-        return _identified(affine.dynamics, tuple(kinds), tracks[some])
+        return _identified(affine.dynamics, kinds, tracks[some])
     law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
     initial = Motion(*(part[some] for part in affine.initial))
     return _fitted(_with_law(affine.dynamics, law), tracks[some], initial)
+
+
+def _kinds(tried: tuple[str, ...] | None) -> tuple[str, ...]:
+    """Return the kinds that are tried: by default all but the last resort."""
+    return tuple(kind for kind, term in term_kinds().items() if (term.tried if tried is None else kind in tried))
 
 
 def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> Fitted:
@@ -181,15 +187,23 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     Where some motions were lost or diverged, because the first frames show their velocities too badly for the whole of
     a recording, growing parts are fitted as in `identify`: lost motions say nothing true of the parameters.
 
+    A potential energy of free form gives way to forces of known kinds, identified anew, where these explain the
+    keypoints about as well: errors of earlier keypoints may have hidden them.
+
     Args:
         dynamics: near the solution.
         tracks: of all recordings.
-        tried: drop the terms of V and R that are not worth enough, as in `identify`; None: keep all.
+        tried: judge the terms of V and R again: drop those that are not worth enough, as in `identify`; None: keep all.
     """
     fitted = _fitted(dynamics, tracks)
     # Errors of a motion that diverged are no numbers.
     if not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors):
         fitted = min(fitted, _climb(dynamics, tracks), key=lambda each: float(each.cost))
+    if tried is not None and _LAST_RESORT in terms_of(_lagrangian(dynamics)):
+        known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=_kinds(tried.kinds)))
+        simpler = _fitted(known.dynamics, tracks)
+        if _sound(simpler) and not fitted.rms < _LESS * simpler.rms:
+            return simpler
     if tried is None or not _sound(fitted):
         return fitted
     left = _selected(fitted, tracks.dt, tried)[0]

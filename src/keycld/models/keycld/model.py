@@ -108,12 +108,20 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         Raises:
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
-        check_inputs(u, self.inputs)
         observed = jax.vmap(self.observe)(frames)
-        x = observed.keypoints.reshape(frames.shape[0], -1)
-        state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u)
-        if observed.looks is not None:
-            state = State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})
+        state = self.state_of(observed.keypoints, dt, u)
+        if observed.looks is None:
+            return state
+        return State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})
+
+    def state_of(self, keypoints: Float[Array, "n K 2"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
+        """Estimate the state from keypoints that were observed in consecutive frames, without looks.
+
+        Raises:
+            KeycldError: the inputs do not have the sizes of the training data.
+        """
+        check_inputs(u, self.inputs)
+        state, covariance = self.initial_state.smooth(self.dynamics, keypoints.reshape(len(keypoints), -1), dt, u)
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)
