@@ -5,16 +5,18 @@ JSON, and with `--plot FILE` writes the growth as a figure.
 """
 
 import argparse
+import functools
 import json
 import statistics
+import sys
 import time
-from functools import partial
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from keycld import use_compile_cache
 from keycld.data import Resident
 from keycld.drawing import Curve, panels_figure, save_figure
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
@@ -58,8 +60,10 @@ def prepared(frames, side, keypoints, horizon):
     return stage, model, Resident(image, jnp.zeros((8, 1)), jnp.asarray(DT, jnp.float32))
 
 
+@functools.cache
 def step_time(**sizes):
     """Return the time of one step, of 10 in a dispatch."""
+    print(f"a step with {sizes}", file=sys.stderr, flush=True)
     stage, model, data = prepared(**sizes)
     progress, rest = initial_progress(stage, model)
     run = make_step(stage, 3, 0, STEPS)
@@ -78,7 +82,7 @@ def part_times():
     """Return the time of each part with its gradient, compiled alone."""
     stage, model, data = prepared(**USUAL)
     keys = jax.random.split(jax.random.key(2))
-    sample = jax.jit(partial(stage.sampler, data))
+    sample = jax.jit(functools.partial(stage.sampler, data))
     clips = sample(keys[0], jnp.array(0))
     frames = clips.frames.reshape(-1, *clips.frames.shape[2:])
     points = jax.random.uniform(keys[1], (len(frames), USUAL["keypoints"], 2)) - 0.5
@@ -96,7 +100,7 @@ def part_times():
     optimiser = muon(warmup_cosine(1e-3, 100))
     observed = gradient(lambda part, frames: jax.vmap(part)(frames).keypoints)
     rendered = gradient(lambda part, points: jax.vmap(part)(points))
-    rolled = gradient(lambda part, first: jax.vmap(partial(roll_out, part))(first))
+    rolled = gradient(lambda part, first: jax.vmap(functools.partial(roll_out, part))(first))
     return {
         "sampler": seconds(sample, keys[0], jnp.array(1)),
         "estimator": seconds(observed, model.estimator, frames),
@@ -111,6 +115,8 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("--plot", metavar="FILE", help="PNG file for the growth")
     plot = arguments.parse_args().plot
+    # A program of these sizes compiles for half a minute.
+    use_compile_cache()
     matrix = jax.random.normal(jax.random.key(0), (1024, 1024))
     unit = seconds(jax.jit(jnp.matmul), matrix, matrix)
     result = {"bench": "step", "unit_ms": round(1e3 * unit, 2), "gflops": round(2 * 1024**3 / unit / 1e9)}

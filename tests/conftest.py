@@ -34,15 +34,17 @@ gc.set_threshold(200_000, 20, 20)
 # They come first, or one core would have nothing to do while the other ends with one of them.
 LONGEST_FILES = (
     "test_ray.py",
-    "test_resume.py",
-    "test_watch.py",
-    "test_pipeline.py",
-    "test_devices.py",
+    "test_zoo.py",
     "test_every_preset.py",
+    "test_resume.py",
+    "test_pipeline.py",
+    "test_watch.py",
+    "test_devices.py",
     "test_identify.py",
     "test_closed_loop.py",
     "test_bench_cli.py",
     "test_walk_through.py",
+    "test_faults.py",
 )
 
 

@@ -121,10 +121,12 @@ def kills(base: Path, name: str, limit: float, most: int) -> dict[str, Any]:
     worker.run(words, outer, limit)
     whole = contents(work)
     varies = {path for path in {**whole, **expected} if whole.get(path) != expected.get(path)}
+    # A training removes its older checkpoints.
+    kept = before.keys() & expected.keys()
     remains = [contents(moment) for moment in states.values()]
     found: dict[str, Any] = {
         "kills": len(moments), "states": len(states), "continued": len(chosen),
-        "absent": sum(any(path not in left for path in before) for left in remains), "lost": 0,
+        "absent": sum(any(path not in left for path in kept) for left in remains), "lost": 0,
         "half": sum(len(set(_half(left, before, expected)) - varies) for left in remains),
         "different_after_resuming": 0, "varies": sorted(varies),
     }  # fmt: skip
@@ -135,7 +137,7 @@ def kills(base: Path, name: str, limit: float, most: int) -> dict[str, Any]:
         again = worker.run(words, outer, limit)
         orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
         after = contents(work)
-        found["lost"] += any(path not in after for path in before)
+        found["lost"] += any(path not in after for path in kept)
         different = [path for path in {**after, **expected} if after.get(path) != expected.get(path)]
         different = [path for path in different if path not in varies or path not in after]
         done = again["exit"] == 0 or "already holds data" in again["said"]
