@@ -18,7 +18,7 @@ import numpy as np
 
 from keycld import use_compile_cache
 from keycld.data import Resident
-from keycld.drawing import Curve, panels_figure, save_figure
+from keycld.drawing import Curve, curves_figure, save_figure
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 from keycld.models import Scene, config_for
 from keycld.stages import muon, warmup_cosine
@@ -27,6 +27,15 @@ from keycld.training.step import initial_progress, make_step
 ROUNDS, STEPS, DT = 5, 10, 0.02
 USUAL = {"frames": 16, "side": 64, "keypoints": 2, "horizon": 50}
 GROWTH = {"frames": (8, 16, 32), "side": (32, 64, 96), "keypoints": (1, 2, 4), "horizon": (25, 50, 100)}
+LABELS = {
+    name: f"{word}: {', '.join(map(str, GROWTH[name]))}"
+    for name, word in {
+        "frames": "frames",
+        "side": "pixels along a side",
+        "keypoints": "keypoints",
+        "horizon": "horizon",
+    }.items()
+}
 
 
 def seconds(function, *arguments, repeats=STEPS):
@@ -127,10 +136,15 @@ def main():
     }
     if plot:
         result["growth"] = growth
-        panels = [
-            (name, [Curve(np.array(list(found)), np.array(list(found.values())))]) for name, found in growth.items()
+        # An image of twice the side has four times the pixels.
+        power = {"side": 2}
+        curves = [
+            Curve((np.array(GROWTH[name]) / GROWTH[name][0]) ** power.get(name, 1), np.array(times), LABELS[name])
+            for name, times in ((name, list(found.values())) for name, found in growth.items())
         ]
-        save_figure(plot, panels_figure(panels, "", y_label="time of a step", columns=4))
+        figure = curves_figure(curves, "times the smallest one", "time of a step, matrix products")
+        figure.axes[0].set_ylim(bottom=0.0)
+        save_figure(plot, figure)
     else:
         result["step"] = round(step_time(**USUAL) / unit, 2)
     print(json.dumps(result))
