@@ -30,9 +30,68 @@ _NOTHING = contextlib.nullcontext()
 # More than any stage tries: each attempt has random weights and steps of its own.
 _MOST_CANDIDATES = 1000
 _ATTEMPTS = 3
-Validate = Callable[[AbstractModel], dict[str, float]]
 # (rest, data), progress → progress, terms: several steps in one dispatch.
 Run = Callable[[tuple[Any, Resident], Progress], tuple[Progress, dict[str, Any]]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Training:
+    """What a training is given.
+
+    Attributes:
+        fresh: `fresh(k)` returns an untrained model with the k-th random weights.
+        blank: `blank(changes)` returns a model with some settings changed, and shapes in place of arrays.
+        changes: returns the settings that training has changed in a model.
+        stages: the recipe.
+        source: training data.
+        everything: returns the data of training and validation, for stages that are fitted to both.
+        validate: returns the scores of a model on the validation set.
+        folder: run folder.
+        devices: share the clips of each step.
+        seed: of all randomness.
+        checkpoint_seconds: time between checkpoints.
+        log_every: steps between lines of `metrics.jsonl`.
+        keep: number of checkpoints to keep.
+        profile: trace the second dispatch of each stage; the first one compiles.
+        tracker: gets the metrics too.
+        renamed: as in `load_arrays`.
+    """
+
+    fresh: Callable[[int], AbstractModel]
+    blank: Callable[[Mapping[str, Any]], AbstractModel]
+    changes: Callable[[AbstractModel], dict[str, Any]]
+    stages: tuple[Stage, ...]
+    source: TrainingData
+    everything: Callable[[], Resident]
+    validate: Callable[[AbstractModel], dict[str, float]]
+    folder: Path
+    devices: Devices
+    seed: int
+    checkpoint_seconds: float
+    log_every: int
+    keep: int
+    profile: bool
+    tracker: Tracker
+    renamed: Mapping[str, str]
+
+    @functools.cached_property
+    def before(self) -> list[int]:
+        """The number of steps before each stage, and of all stages."""
+        return [sum(stage.steps for stage in self.stages[:k]) for k in range(len(self.stages) + 1)]
+
+
+def train_stages(training: Training) -> AbstractModel:
+    """Train all stages, with a checkpoint at the end of each; resume from the latest checkpoint in the folder.
+
+    A checkpoint holds weights, the states of optimiser and loss, the cached values of a stage, and the step. The
+    randomness of a step is a function of seed, stage and step number, and so is the resident part of the data: a
+    resumed run takes the same steps, bit for bit.
+
+    Raises:
+        KeycldError: a loss or gradient is not finite; a checkpoint is damaged or cannot be written; a stage has failed
+            three times, each with other initial weights.
+    """
+    return _Trainer(training).run()
 
 
 @dataclasses.dataclass
@@ -65,195 +124,199 @@ class _Placed:
         return self._copies
 
 
-def train_stages(
-    fresh: Callable[[int, Mapping[str, Any]], AbstractModel],
-    changes: Callable[[AbstractModel], dict[str, Any]],
-    stages: tuple[Stage, ...],
-    source: TrainingData,
-    everything: Callable[[], Resident],
-    folder: Path,
-    *,
-    devices: Devices,
-    seed: int,
-    steps_per_dispatch: int,
-    checkpoint_seconds: float,
-    log_every: int,
-    keep: int,
-    profile: bool,
-    tracker: Tracker,
-    validate: Validate,
-    renamed: Mapping[str, str],
-) -> AbstractModel:
-    """Train all stages, with a checkpoint at the end of each; resume from the latest checkpoint in the folder.
+class _Trainer:
+    """A training under way: its model, its data, its stage."""
 
-    A checkpoint holds weights, the states of optimiser and loss, the cached values of a stage, and the step. The
-    randomness of a step is a function of seed, stage and step number, and so is the resident part of the data: a
-    resumed run takes the same steps, bit for bit.
+    def __init__(self, training: Training):
+        self.training = training
+        self.number, self.clock = 0, _Clock()
+        # What each attempt before this one has failed in.
+        self.failures: list[str] = []
+        self.data = training.source.at(0)
+        # Of a stage that begins in its middle: progress, and what it does not train.
+        self.resumed: tuple[Progress, Any] | None = None
+        checkpoint, step = latest_checkpoint(training.folder), 0
+        if checkpoint is None:
+            self.model = training.fresh(0)
+        else:
+            step = self._resume(checkpoint)
+        self.metrics = Metrics(training.folder, training.before[self.number] + step)
 
-    Args:
-        fresh: `fresh(k, changes)` returns an untrained model with the k-th random weights and some settings changed.
-        changes: returns the settings that training has changed in a model.
-        stages: the recipe.
-        source: training data.
-        everything: returns the data of training and validation, for stages that are fitted to both.
-        folder: run folder.
-        devices: share the clips of each step.
-        seed: of all randomness.
-        steps_per_dispatch: optimiser steps in one compiled call.
-        checkpoint_seconds: time between checkpoints.
-        log_every: steps between lines of `metrics.jsonl`.
-        keep: number of checkpoints to keep.
-        profile: trace the second dispatch of each stage; the first one compiles.
-        tracker: gets the metrics too.
-        validate: returns the scores of a model on the validation set.
-        renamed: as in `load_arrays`.
-
-    Raises:
-        KeycldError: a loss or gradient is not finite; a checkpoint is damaged or cannot be written; a stage has failed
-            three times, each with other initial weights.
-    """
-    model, failures = fresh(0, {}), []
-    before = [sum(stage.steps for stage in stages[:k]) for k in range(len(stages) + 1)]
-    first, step, clock = 0, 0, _Clock()
-    checkpoint = latest_checkpoint(folder)
-    progress: Progress | None = None
-    current: Progress
-    rest: Any
-    data: Resident = source.at(0)
-    if checkpoint is not None:
-        position = read_position(checkpoint)
-        first, step = position["stage"], position["step"]
-        clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
-        failures = position.get("failures", [])
-        model = load_arrays(checkpoint / WEIGHTS, fresh(0, position.get("changes", {})), renamed)
-        data = source.at(before[first])
+    def _resume(self, checkpoint: Path) -> int:
+        """Continue from a checkpoint, and return the step of the stage."""
+        training, position = self.training, read_position(checkpoint)
+        self.number, step = position["stage"], position["step"]
+        self.clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
+        self.failures = position.get("failures", [])
+        blank = training.blank(position.get("changes", {}))
+        self.model = load_arrays(checkpoint / WEIGHTS, blank, training.renamed)
+        data = training.source.at(training.before[self.number])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
-        started = None if position["done"] else initial_progress(stages[first], model)[0]
-        state = load_arrays(checkpoint / STATE, _state(data, started), renamed)
-        data = _with_cached(data, state["cached"])
+        started = None if position["done"] else initial_progress(training.stages[self.number], self.model)
+        state = load_arrays(checkpoint / STATE, _state(data, started and started[0]), training.renamed)
+        self.data = _with_cached(data, state["cached"])
         if started is None:
-            first, step = first + 1, 0
-        else:
-            progress = started._replace(optimiser=state["optimiser"], memory=state["memory"], step=started.step + step)
-    metrics = Metrics(folder, before[first] + step)
-
-    def whole(progress: Progress, rest: Any) -> Any:
-        """Return the model with the trained parameters of the first device."""
-        return eqx.combine(devices.here(progress.parameters), rest)
-
-    def save(number: int, progress: Progress | None, model: AbstractModel, step: int) -> None:
-        clock.tick()
-        position = {
-            "stage": number,
-            "stages": len(stages),
-            "name": stages[number].name,
-            "step": step,
-            "done": progress is None,
-            "cached": 0 if data.cached is None else data.cached.shape[-1],
-            "changes": changes(model),
-            "failures": failures,
-            "seconds": clock.seconds,
-            "cpu_seconds": clock.cpu_seconds,
-            "frames": clock.frames,
-        }
-        name = f"{_attempt(failures)}{number:02d}-{stages[number].name}-{step:06d}"
-        save_checkpoint(folder, name, model, _state(data, progress), position, keep)
-
-    def record(number: int, done: int, values: dict[str, float]) -> None:
-        """Write one line of the log, with the cost of the training so far."""
-        step = before[number] + done
-        cost = {"seconds": round(clock.seconds, 2), "cpu_seconds": round(clock.cpu_seconds, 2), "frames": clock.frames}
-        metrics.write(step=step, stage=stages[number].name, **cost, **values)
-        tracker.log(step, values)
-
-    number = first
-    while number < len(stages):
-        stage, again = stages[number], _MOST_CANDIDATES * len(failures)
-        compiled: Callable[[int], Run] = functools.cache(
-            functools.partial(make_step, stage, number + again, seed, devices=devices)
+            self.number += 1
+            return 0
+        progress, rest = started
+        self.resumed = (
+            progress._replace(optimiser=state["optimiser"], memory=state["memory"], step=progress.step + step),
+            rest,
         )
-        models: list[AbstractModel] = []
-        pinned, per_step = _clips(stage, data)
-        if progress is not None:
-            current, rest = progress, initial_progress(stage, model)[1]
+        return step
+
+    def run(self) -> AbstractModel:
+        """Train the stages that are left."""
+        training = self.training
+        while self.number < len(training.stages):
+            stage = training.stages[self.number]
+            values = self._train(stage)
+            if stage.judge is not None and (failure := stage.judge(self.model, self.data, values)):
+                # Not saved: a run that resumes here fails in the same way.
+                self._restart(f"{stage.name}: {failure}")
+                continue
+            if stage.validate:
+                scores = training.validate(self.model)
+                self.clock.tick()
+                self._record(stage.steps, scores)
+                print("validation   " + "  ".join(f"{k} {v:.3f}" for k, v in scores.items()), flush=True)
+            self._save(None, self.model, stage.steps)
+            self.number += 1
+        write_verdict(training.folder, self.failures, passed=True)
+        return self.model
+
+    def _train(self, stage: Stage) -> dict[str, float]:
+        """Take the steps of a stage, and return its last logged terms."""
+        training = self.training
+        devices, log_every, first = training.devices, training.log_every, training.before[self.number]
+        # The number of the random keys of this stage in this attempt.
+        drawn = self.number + self._again
+        compiled = _compiled(stage, drawn, training)
+        pinned, per_step = _clips(stage, self.data)
+        if self.resumed is not None:
+            (current, rest), self.resumed = self.resumed, None
         else:
-            data = everything() if stage.with_validation else _moved(data, source.at(before[number]))
-            models = [model, *(fresh(again + k, {}) for k in range(1, stage.candidates))]
-            other: Callable[[int], Run] = compiled
-            if stage.alternative is not None:
-                differing = dataclasses.replace(stage, loss=stage.alternative)
-                other = functools.cache(functools.partial(make_step, differing, number + again, seed, devices=devices))
-            current, rest, data = _best(stage, models, data, (compiled, other), steps_per_dispatch, devices)
+            current, rest = self._begin(stage, drawn, compiled, per_step)
         placed = _Placed(devices)
-        done = int(current.step)
-        clock.frames += per_step * done * len(models)
+        done, dispatches = int(current.step), 0
         bar = Bar(stage.name, stage.steps)
-        saved, dispatches = time.monotonic(), 0
+        saved = logged_at = time.monotonic()
+        logged_frames = self.clock.frames
         pending: list[dict[str, Any]] = []
-        logged_at, logged_frames = time.monotonic(), clock.frames
         values: dict[str, float] = {}
         while done < stage.steps:
-            chunk = min(steps_per_dispatch, stage.steps - done, log_every - done % log_every)
+            chunk = min(STEPS_PER_DISPATCH, stage.steps - done, log_every - done % log_every)
             if not pinned:
-                here = before[number] + done
-                data, end = _moved(data, source.at(here)), source.until(here)
-                chunk = chunk if end is None else min(chunk, end - here)
+                self.data = _moved(self.data, training.source.at(first + done))
+                end = training.source.until(first + done)
+                chunk = chunk if end is None else min(chunk, end - first - done)
             if stage.refresh is not None:
                 chunk = min(chunk, stage.every - done % stage.every)
                 # Before the step and not after the last one, so that a run which resumes here repeats it.
                 if done and done % stage.every == 0:
-                    model, data = stage.refresh(whole(current, rest), data)
-                    current, rest = refreshed(stage, model, current)
-            traced = profile and dispatches == 1
-            with (
-                jax.profiler.trace(folder / "profile" / stage.name, create_perfetto_trace=True) if traced else _NOTHING
-            ):
-                current, terms = compiled(chunk)(placed.of(rest, data), devices.everywhere(current))
+                    self.model, self.data = stage.refresh(self._whole(current, rest), self.data)
+                    current, rest = refreshed(stage, self.model, current)
+            traced = training.profile and dispatches == 1
+            with self._profiler(stage) if traced else _NOTHING:
+                current, terms = compiled(chunk)(placed.of(rest, self.data), devices.everywhere(current))
                 if traced:
                     jax.block_until_ready(current)
             dispatches += 1
             pending.append(terms)
             done += chunk
-            clock.frames += per_step * chunk
+            self.clock.frames += per_step * chunk
             if done % log_every < chunk or done == stage.steps:
                 values = {k: float(np.mean([np.mean(t[k]) for t in pending])) for k in terms}
                 pending = []
                 if not bool(current.healthy):
-                    raise diagnose(stage, number + again, seed, devices.here(current), rest, data)
-                clock.tick()
+                    raise diagnose(stage, drawn, training.seed, devices.here(current), rest, self.data)
+                self.clock.tick()
                 now = time.monotonic()
-                rate = (clock.frames - logged_frames) / max(now - logged_at, 1e-9)
-                logged_at, logged_frames = now, clock.frames
-                record(number, done, values)
+                rate = (self.clock.frames - logged_frames) / max(now - logged_at, 1e-9)
+                logged_at, logged_frames = now, self.clock.frames
+                self._record(done, values)
                 bar.show(done, rate, "  ".join(f"{name} {value:.4g}" for name, value in values.items()))
-                if now - saved > checkpoint_seconds and done < stage.steps:
-                    save(number, devices.here(current), whole(current, rest), done)
+                if now - saved > training.checkpoint_seconds and done < stage.steps:
+                    self._save(devices.here(current), self._whole(current, rest), done)
                     saved = time.monotonic()
-        model = whole(current, rest)
-        progress = None
-        if stage.judge is not None and (failure := stage.judge(model, data, values)):
-            # Not saved: a run that resumes here fails in the same way.
-            failures.append(f"{stage.name}: {failure}")
-            if len(failures) == _ATTEMPTS:
-                write_verdict(folder, failures, passed=False)
-                raise KeycldError(
-                    f"training failed {_ATTEMPTS} times (`keycld report {folder}` shows each), the last time in stage "
-                    f"{failures[-1]}"
-                )
-            print(f"restart      {failures[-1]}", file=sys.stderr, flush=True)
-            model, data, number = fresh(_MOST_CANDIDATES * len(failures), {}), source.at(0), 0
-            metrics = Metrics(folder, 0)
-            continue
-        if stage.validate:
-            scores = validate(model)
-            clock.tick()
-            record(number, done, scores)
-            print("validation   " + "  ".join(f"{k} {v:.3f}" for k, v in scores.items()), flush=True)
-        save(number, None, model, done)
-        number += 1
-    write_verdict(folder, failures, passed=True)
-    return model
+        self.model = self._whole(current, rest)
+        return values
+
+    def _begin(self, stage: Stage, drawn: int, compiled: Callable[[int], Run], per_step: int) -> tuple[Progress, Any]:
+        """Return the progress at the first step, or after the trials of several initial weights, and the rest."""
+        training = self.training
+        self.data = (
+            training.everything()
+            if stage.with_validation
+            else _moved(self.data, training.source.at(training.before[self.number]))
+        )
+        models = [self.model, *(training.fresh(self._again + k) for k in range(1, stage.candidates))]
+        alternative = compiled
+        if stage.alternative is not None:
+            alternative = _compiled(dataclasses.replace(stage, loss=stage.alternative), drawn, training)
+        current, rest, self.data = _best(stage, models, self.data, (compiled, alternative), training.devices)
+        self.clock.frames += per_step * int(current.step) * len(models)
+        return current, rest
+
+    def _restart(self, failure: str) -> None:
+        """Begin again with other weights, or end the training after the last attempt."""
+        folder = self.training.folder
+        self.failures.append(failure)
+        if len(self.failures) == _ATTEMPTS:
+            write_verdict(folder, self.failures, passed=False)
+            raise KeycldError(
+                f"training failed {_ATTEMPTS} times (`keycld report {folder}` shows each), the last time in stage "
+                f"{failure}"
+            )
+        print(f"restart      {failure}", file=sys.stderr, flush=True)
+        self.model = self.training.fresh(self._again)
+        self.data, self.number = self.training.source.at(0), 0
+        self.metrics = Metrics(folder, 0)
+
+    @property
+    def _again(self) -> int:
+        """The number of the first random weights of this attempt."""
+        return _MOST_CANDIDATES * len(self.failures)
+
+    def _whole(self, progress: Progress, rest: Any) -> Any:
+        """Return the model with the trained parameters of the first device."""
+        return eqx.combine(self.training.devices.here(progress.parameters), rest)
+
+    def _profiler(self, stage: Stage) -> contextlib.AbstractContextManager[Any]:
+        return jax.profiler.trace(self.training.folder / "profile" / stage.name, create_perfetto_trace=True)
+
+    def _save(self, progress: Progress | None, model: AbstractModel, step: int) -> None:
+        """Write a checkpoint: of a stage under way, or without progress of a completed one."""
+        training, stages = self.training, self.training.stages
+        self.clock.tick()
+        position = {
+            "stage": self.number,
+            "stages": len(stages),
+            "name": stages[self.number].name,
+            "step": step,
+            "done": progress is None,
+            "cached": 0 if self.data.cached is None else self.data.cached.shape[-1],
+            "changes": training.changes(model),
+            "failures": self.failures,
+            "seconds": self.clock.seconds,
+            "cpu_seconds": self.clock.cpu_seconds,
+            "frames": self.clock.frames,
+        }
+        name = f"{_attempt(self.failures)}{self.number:02d}-{stages[self.number].name}-{step:06d}"
+        save_checkpoint(training.folder, name, model, _state(self.data, progress), position, training.keep)
+
+    def _record(self, done: int, values: dict[str, float]) -> None:
+        """Write one line of the log, with the cost of the training so far."""
+        step, clock = self.training.before[self.number] + done, self.clock
+        cost = {"seconds": round(clock.seconds, 2), "cpu_seconds": round(clock.cpu_seconds, 2), "frames": clock.frames}
+        self.metrics.write(step=step, stage=self.training.stages[self.number].name, **cost, **values)
+        self.training.tracker.log(step, values)
+
+
+def _compiled(stage: Stage, drawn: int, training: Training) -> Callable[[int], Run]:
+    """Return what gives the compiled function of a number of steps."""
+    return functools.cache(functools.partial(make_step, stage, drawn, training.seed, devices=training.devices))
 
 
 def _attempt(failures: list[str]) -> str:
@@ -266,7 +329,6 @@ def _best(
     models: list[AbstractModel],
     data: Resident,
     compiled: tuple[Callable[[int], Run], Callable[[int], Run]],
-    steps_per_dispatch: int,
     devices: Devices,
 ) -> tuple[Progress, Any, Resident]:
     """Return the initial state of the stage; of several models, the state of the best one after the stage's trial.
@@ -281,8 +343,8 @@ def _best(
             return progress, rest, resident
         losses, trial = [], min(stage.trial, stage.steps)
         progress, fixed = devices.everywhere(progress), devices.everywhere((rest, resident))
-        for done in range(0, trial, steps_per_dispatch):
-            run = compiled[number % 2](min(steps_per_dispatch, trial - done))
+        for done in range(0, trial, STEPS_PER_DISPATCH):
+            run = compiled[number % 2](min(STEPS_PER_DISPATCH, trial - done))
             progress, terms = run(fixed, progress)
             losses.extend(np.asarray(terms["loss"]))
         # The mean over the last third, because the loss of one batch is noisy.

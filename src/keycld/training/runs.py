@@ -23,7 +23,7 @@ from keycld.models.base import AbstractModel
 from keycld.training.budget import fitting_share
 from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays, read_position
 from keycld.training.devices import use_devices
-from keycld.training.loop import STEPS_PER_DISPATCH, train_stages
+from keycld.training.loop import STEPS_PER_DISPATCH, Training, train_stages
 from keycld.training.memory import keep_freed_memory
 from keycld.training.run_files import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.trackers import make_tracker
@@ -120,22 +120,24 @@ def train(
         open_run(folder, run)
         with contextlib.closing(make_tracker(track, folder, dataclasses.asdict(run))) as tracker:
             return train_stages(
-                lambda k, changes: config.changed(changes).build(scene, jax.random.fold_in(jax.random.key(seed), k)),
-                lambda model: _changes(config, config.matching(model)),
-                stages,
-                source,
-                lambda: resident(before_test(dataset)),
-                folder,
-                devices=shared,
-                seed=seed,
-                steps_per_dispatch=STEPS_PER_DISPATCH,
-                checkpoint_seconds=checkpoint_seconds,
-                log_every=log_every,
-                keep=keep,
-                profile=profile,
-                tracker=tracker,
-                validate=validation_score(dataset, threshold),
-                renamed=config.RENAMED,
+                Training(
+                    fresh=lambda k: config.build(scene, jax.random.fold_in(jax.random.key(seed), k)),
+                    blank=lambda changes: _blank(config.changed(changes), scene),
+                    changes=lambda model: _changes(config, config.matching(model)),
+                    stages=stages,
+                    source=source,
+                    everything=lambda: resident(before_test(dataset)),
+                    validate=validation_score(dataset, threshold),
+                    folder=folder,
+                    devices=shared,
+                    seed=seed,
+                    checkpoint_seconds=checkpoint_seconds,
+                    log_every=log_every,
+                    keep=keep,
+                    profile=profile,
+                    tracker=tracker,
+                    renamed=config.RENAMED,
+                )
             )
 
 
