@@ -1,6 +1,7 @@
 """Least squares through the dynamics: initial states of many motions and parameters of the law from observations."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -12,7 +13,8 @@ from jaxtyping import Array, Float, Int, PyTree
 from keycld._errors import KeycldError
 from keycld.mechanics.dynamics import MechanicalDynamics
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
-from keycld.mechanics.state import Motion, Scalar, State
+from keycld.mechanics.motion_cost import MotionCost, motion_cost
+from keycld.mechanics.state import Motion, Scalar
 
 # Bounds of the damping, and the least curvature of a direction, as a share of the largest.
 _LEAST, _MOST, _FLAT = 1e-6, 1e4, 1e-3
@@ -74,10 +76,8 @@ def fit_motions(
     initial states are eliminated motion by motion (Schur complement), so the cost is linear
     in N. From a rough guess, fit growing parts of the trajectories, one call each.
 
-    Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B takes
-    the derivative of the acceleration at the two frames as linear between them: an error of (ω dt)², which slows the
-    convergence a little and leaves the paths exact, for a fifth of the time. For numbers of the constraints, such as an
-    unknown pivot, B is exact. Φ then depends on θ: its constants are the means over the observations for each θ.
+    Derivatives are those of `MotionCost.quadratic`. Where numbers of the constraints are free, such as an unknown
+    pivot, Φ depends on θ: its constants are the means over the observations for each θ.
 
     Args:
         dynamics: a `ConstrainedLagrangian` with its integrator, near the solution.
@@ -103,161 +103,118 @@ def fit_motions(
     Raises:
         KeycldError: for another kind of law.
     """
-    law, (count, length, dim) = dynamics.law, observed.shape
+    law, (count, _, dim) = dynamics.law, observed.shape
     if not isinstance(law, ConstrainedLagrangian):
         raise KeycldError(f"motions are fitted through a ConstrainedLagrangian, not a {type(law).__name__}.")
-    parameters, rest = eqx.partition(dynamics, free)
-    flat, unravel = ravel_pytree(parameters)
-    chosen = jnp.ones_like(flat) if active is None else ravel_pytree(eqx.filter(active, free))[0]
-    geometry = _geometry(parameters)
-    mask = (jnp.arange(length) < (length if frames is None else frames)).astype(observed.dtype)
-    shared = constants is not None
+    cost, theta = motion_cost(dynamics, free, observed, dt, frames, scale, shared=constants is not None)
+    chosen = jnp.ones_like(theta) if active is None else ravel_pytree(eqx.filter(active, free))[0]
     if constants is None:
         constants = jax.vmap(lambda x: jnp.mean(jax.vmap(law.constraint)(x), axis=0))(observed)
     else:
         constants = jnp.broadcast_to(constants[None, :], (count, constants.shape[0]))
-    clock = length * dt / 2  # velocities times this weigh like positions
-    size = 2 * dim
-
-    def model(theta: Array) -> MechanicalDynamics:
-        return eqx.combine(unravel(theta), rest)
-
-    def fitted_law(theta: Array) -> ConstrainedLagrangian:
-        fitted = model(theta).law
-        assert isinstance(fitted, ConstrainedLagrangian)
-        return fitted
-
-    def kept(theta: Array, x: Array, held: Array) -> Array:
-        """Return the constants of the motion with the observations x."""
-        if not geometry.size:
-            return held
-        among = observed.reshape(-1, dim) if shared else x
-        return jnp.mean(jax.vmap(fitted_law(theta).constraint)(among), axis=0)
-
-    def projected(z: Array, theta: Array, held: Array) -> Array:
-        fitted = fitted_law(theta)
-        x = fitted.project_position(z[:dim], held)
-        return jnp.concatenate([x, fitted.project_velocity(x, z[dim:] / clock)])
-
-    def motion(z: Array, theta: Array, held: Array, push: Array) -> Motion:
-        first = projected(z, theta, held)
-        state = State(Motion(first[:dim], first[dim:]), {"constants": held})
-        return model(theta).rollout(state, push if push.ndim == 1 else push[: length - 1], dt, length - 1)
-
-    def counted(values: Array) -> Array:
-        # What has diverged after the last frame that counts must not spread.
-        return jnp.where(mask.reshape(-1, *[1] * (values.ndim - 1)) > 0, values, 0.0)
-
-    def cost(error: Array) -> Array:
-        total = jnp.sum(scale**2 * (jnp.sqrt(1 + (counted(error) / scale) ** 2) - 1))
-        return jnp.where(jnp.isfinite(total), total, jnp.inf)
-
-    def blocks(z: Array, theta: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array, Array, Array]:
-        """Compute matrix, slope and value of the quadratic model of one motion's cost in (z, θ), and its path."""
-        start = held
-        held = kept(theta, x, start)
-        path = motion(z, theta, held, push)
-        states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
-        inputs = jnp.broadcast_to(push[None], (length, push.shape[0])) if push.ndim == 1 else push
-
-        def shaped(numbers: Array) -> tuple[Array, Array]:
-            """Return θ with these numbers of the constraints, and the constants."""
-            changed = theta.at[geometry].set(numbers)
-            return changed, kept(changed, x, start)
-
-        def step(state: Array, push: Array, theta: Array = theta, held: Array = held) -> Array:
-            now = State(Motion(state[:dim], state[dim:]), {"constants": held})
-            return jnp.concatenate(model(theta).step(now, push, dt).coordinates)
-
-        def accelerate(theta: Array, state: Array, push: Array) -> Array:
-            return model(theta).law.acceleration(state[:dim], state[dim:], push)
-
-        transitions = jax.vmap(jax.jacfwd(step))(states[:-1], inputs[:-1])
-        first = jnp.concatenate([jax.jacfwd(projected)(z, theta, held), jnp.zeros((size, flat.size))], axis=1)
-        slopes = jnp.zeros((length, dim, 0))
-        if flat.size:
-            slopes = jax.vmap(lambda state, push: jax.jacrev(accelerate)(theta, state, push))(states, inputs)
-        here, then = slopes[:-1], slopes[1:]
-        pushes = jnp.concatenate([dt**2 / 6 * (2 * here + then), dt / 2 * (here + then)], axis=1)
-        pushes = jnp.concatenate([jnp.zeros((length - 1, size, size)), pushes], axis=2)
-        if geometry.size:
-            numbers, columns = theta[geometry], size + geometry
-            first = first.at[:, columns].set(jax.jacfwd(lambda numbers: projected(z, *shaped(numbers)))(numbers))
-            exact = jax.jacfwd(
-                lambda numbers: jax.vmap(lambda s, u: step(s, u, *shaped(numbers)))(states[:-1], inputs[:-1])
-            )
-            pushes = pushes.at[:, :, columns].set(exact(numbers))
-
-        def pass_frame(slope: Array, matrices: tuple[Array, Array]) -> tuple[Array, Array]:
-            slope = jnp.matmul(matrices[0], slope, precision="highest") + matrices[1]
-            return slope, slope[:dim]
-
-        _, later = jax.lax.scan(pass_frame, first, (transitions, pushes))
-        slopes = counted(jnp.concatenate([first[None, :dim], later])).reshape(length * dim, -1)
-        error = counted(error)
-        pull = slopes * jax.lax.rsqrt(1 + (error / scale) ** 2).reshape(-1, 1)
-        matrix = jnp.matmul(pull.T, slopes, precision="highest")
-        slope = jnp.matmul(pull.T, error.reshape(-1), precision="highest")
-        # A motion whose derivatives overflow keeps its state, and θ does not hear of it.
-        sound = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(slope))
-        return jnp.where(sound, matrix, 0.0), jnp.where(sound, slope, 0.0), cost(error), path.x
-
-    def each(function, *arrays):
-        return jax.lax.map(lambda args: function(*args), arrays, batch_size=min(chunk, count))
-
-    def unfinished(carry: tuple) -> Array:
-        *_, stalls, taken = carry
-        return (stalls < _STALLS) & (taken < searches + iterations)
-
-    def improve(carry: tuple) -> tuple:
-        z, dampings, theta, damping, least, _, _, stalls, taken = carry
-        matrix, slope, old, paths = each(
-            lambda z, x, held, push: blocks(z, theta, x, held, push), z, observed, constants, u
-        )
-        inner = _damped(matrix[:, :size, :size], jnp.minimum(dampings, damping))
-        mixed = matrix[:, :size, size:]
-        by_theta = jnp.linalg.solve(inner, mixed)
-        alone = jnp.linalg.solve(inner, slope[:, :size, None])[..., 0]
-        schur = matrix[:, size:, size:] - jnp.einsum("nzt,nzs->nts", mixed, by_theta, precision="highest")
-        pull = slope[:, size:] - jnp.einsum("nzt,nz->nt", mixed, alone, precision="highest")
-        moves = jnp.where(taken < searches, 0.0, chosen)
-        curvature = jnp.sum(schur, axis=0)
-        change = jnp.linalg.solve(
-            _damped(moves[:, None] * curvature * moves[None, :], damping), moves * jnp.sum(pull, axis=0)
-        )
-        new_theta = theta - change
-        new_z = z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
-
-        def price(both: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array]:
-            own = kept(new_theta, x, held)
-            paths = jax.vmap(lambda z: motion(z, new_theta, own, push).x)(both)
-            return jax.vmap(lambda path: cost(path - x))(paths), paths
-
-        prices, new_paths = each(price, jnp.stack([z, new_z], axis=1), observed, constants, u)
-        moved = prices[:, 1] < prices[:, 0]
-        total, reached = jnp.sum(old), jnp.sum(jnp.min(prices, axis=1))
-        better = reached < total
-        z = jnp.where((better & moved)[:, None], new_z, z)
-        theta = jnp.where(better, new_theta, theta)
-        chosen_paths = jnp.where(moved[:, None, None], new_paths[:, 1], new_paths[:, 0])
-        paths = jnp.where(better, chosen_paths, paths)
-        now = jnp.minimum(reached, total)
-        stalls = jnp.where((now < (1 - _GAIN) * least) | (taken < searches), 0, stalls + 1)
-        damping = jnp.where(taken < searches, damping, _next_damping(better, damping))
-        dampings = _next_damping(moved, dampings)
-        return z, dampings, theta, damping, now, curvature, paths, stalls, taken + 1
-
     start = rough_states(observed, dt) if initial is None else initial
-    z = jnp.concatenate([start.x, clock * start.v], axis=1)
-    curvature = jnp.zeros((flat.size, flat.size))
-    begin = (z, jnp.full(count, 1e-2), flat, jnp.array(1e-2), jnp.array(jnp.inf), curvature, observed, 0, 0)
-    begin = jax.tree.map(jnp.asarray, begin)
-    z, _, flat, _, _, curvature, paths, _, _ = jax.lax.while_loop(unfinished, improve, begin)
-    first = jax.vmap(lambda z, x, held: projected(z, flat, kept(flat, x, held)))(z, observed, constants)
-    squares = jax.vmap(lambda error: jnp.sum(counted(error) ** 2))(paths - observed)
-    errors = jnp.sqrt(squares / (jnp.sum(mask) * dim))
-    total = jnp.sum(jax.vmap(cost)(paths - observed))
-    return Fitted(model(flat), Motion(first[:, :dim], first[:, dim:]), paths, errors, total, curvature)
+    z = jnp.concatenate([start.x, cost.clock * start.v], axis=1)
+    curvature = jnp.zeros((theta.size, theta.size))
+    none = jnp.asarray(0)
+    damping, least = jnp.asarray(1e-2), jnp.asarray(jnp.inf)
+    begin = _Search(z, jnp.full(count, 1e-2), theta, damping, least, curvature, observed, none, none)
+
+    def unfinished(now: _Search) -> Array:
+        return (now.stalls < _STALLS) & (now.taken < searches + iterations)
+
+    def improve(now: _Search) -> _Search:
+        return _improved(now, cost, chosen, now.taken < searches, (observed, constants, u), min(chunk, count))
+
+    end = jax.lax.while_loop(unfinished, improve, begin)
+    theta, off = end.theta, end.paths - observed
+    first = jax.vmap(lambda z, x, held: cost.projected(z, theta, cost.constants(theta, x, held)))(
+        end.z, observed, constants
+    )
+    squares = jax.vmap(lambda error: jnp.sum(cost.counted(error) ** 2))(off)
+    errors = jnp.sqrt(squares / (jnp.sum(cost.counts) * dim))
+    total = jnp.sum(jax.vmap(cost)(off))
+    return Fitted(cost.dynamics(theta), Motion(first[:, :dim], first[:, dim:]), end.paths, errors, total, end.curvature)
+
+
+class _Search(NamedTuple):
+    """What a step of the fit changes.
+
+    Attributes:
+        z: initial states.
+        dampings: of each motion's initial state.
+        theta: parameters.
+        damping: of θ.
+        least: the cost.
+        curvature: as in `Fitted`.
+        paths: of the motions.
+        stalls: number of steps in a row that gained little.
+        taken: number of steps.
+    """
+
+    z: Float[Array, "N S"]
+    dampings: Float[Array, "N"]
+    theta: Float[Array, "P"]
+    damping: Float[Array, ""]
+    least: Float[Array, ""]
+    curvature: Float[Array, "P P"]
+    paths: Float[Array, "N T dim"]
+    stalls: Int[Array, ""]
+    taken: Int[Array, ""]
+
+
+def _improved(
+    now: _Search, cost: MotionCost, chosen: Array, searching: Array, motions: tuple[Array, Array, Array], chunk: int
+) -> _Search:
+    """Take one step.
+
+    Args:
+        now: before it.
+        cost: what is minimised.
+        chosen: 1 for each number of θ that is fitted.
+        searching: whether initial states alone move, and every step counts as a gain.
+        motions: observations, constants and inputs of all motions.
+        chunk: motions at a time.
+    """
+    theta, size = now.theta, now.z.shape[1]
+
+    def each(function: Callable[..., Any], *arrays: Array) -> Any:
+        return jax.lax.map(lambda args: function(*args), arrays, batch_size=chunk)
+
+    matrix, slope, old, paths = each(lambda z, x, held, push: cost.quadratic(z, theta, x, held, push), now.z, *motions)
+    inner = _damped(matrix[:, :size, :size], jnp.minimum(now.dampings, now.damping))
+    mixed = matrix[:, :size, size:]
+    by_theta = jnp.linalg.solve(inner, mixed)
+    alone = jnp.linalg.solve(inner, slope[:, :size, None])[..., 0]
+    schur = matrix[:, size:, size:] - jnp.einsum("nzt,nzs->nts", mixed, by_theta, precision="highest")
+    pull = slope[:, size:] - jnp.einsum("nzt,nz->nt", mixed, alone, precision="highest")
+    curvature, moves = jnp.sum(schur, axis=0), jnp.where(searching, 0.0, chosen)
+    damped = _damped(moves[:, None] * curvature * moves[None, :], now.damping)
+    change = jnp.linalg.solve(damped, moves * jnp.sum(pull, axis=0))
+    new_theta = theta - change
+    new_z = now.z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
+
+    def price(both: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array]:
+        own = cost.constants(new_theta, x, held)
+        paths = jax.vmap(lambda z: cost.path(z, new_theta, own, push).x)(both)
+        return jax.vmap(lambda path: cost(path - x))(paths), paths
+
+    prices, new_paths = each(price, jnp.stack([now.z, new_z], axis=1), *motions)
+    moved = prices[:, 1] < prices[:, 0]
+    total, reached = jnp.sum(old), jnp.sum(jnp.min(prices, axis=1))
+    better = reached < total
+    chosen_paths = jnp.where(moved[:, None, None], new_paths[:, 1], new_paths[:, 0])
+    least = jnp.minimum(reached, total)
+    return _Search(
+        z=jnp.where((better & moved)[:, None], new_z, now.z),
+        dampings=_next_damping(moved, now.dampings),
+        theta=jnp.where(better, new_theta, theta),
+        damping=jnp.where(searching, now.damping, _next_damping(better, now.damping)),
+        least=least,
+        curvature=curvature,
+        paths=jnp.where(better, chosen_paths, paths),
+        stalls=jnp.where((least < (1 - _GAIN) * now.least) | searching, 0, now.stalls + 1),
+        taken=now.taken + 1,
+    )
 
 
 def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
@@ -266,15 +223,6 @@ def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
     powers = np.linalg.pinv(np.vander(np.arange(window), min(4, window), increasing=True))
     x, v = (jnp.einsum("t,ntd->nd", jnp.asarray(row, observed.dtype), observed[:, :window]) for row in powers[:2])
     return Motion(x, v / dt)
-
-
-def _geometry(parameters: PyTree) -> np.ndarray:
-    """Return which entries of the flattened parameters are numbers of the constraints."""
-    of_constraints = [
-        np.full(leaf.size, ".constraint_function" in jax.tree_util.keystr(path))
-        for path, leaf in jax.tree_util.tree_leaves_with_path(parameters)
-    ]
-    return np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_constraints]))
 
 
 def _damped(matrix: Array, damping: Array) -> Array:

@@ -1,0 +1,189 @@
+"""The cost of one motion beside its observations, and its derivatives by the initial state and the law's parameters."""
+
+import dataclasses
+from collections.abc import Callable
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float, Int, PyTree
+
+from keycld.mechanics.dynamics import MechanicalDynamics
+from keycld.mechanics.lagrangian import ConstrainedLagrangian
+from keycld.mechanics.state import Motion, Scalar, State
+
+
+@dataclasses.dataclass(frozen=True)
+class MotionCost:
+    """The robust distance of paths from observations, as a function of initial states z and parameters θ.
+
+        c(z, θ) = Σₜₖ ρ(xₖ(t; z, θ) − observedₜₖ),    ρ(e) = s²(√(1 + (e/s)²) − 1)
+
+    z = (x₀, v₀ · clock) need not keep the constraints: it is projected on them. With clock, half of the time of a
+    motion, velocities weigh like positions.
+
+    Attributes:
+        unravel: gives the free leaves of the dynamics from θ.
+        rest: the other leaves.
+        geometry: which entries of θ are numbers of the constraints, such as an unknown pivot.
+        among: where θ has such numbers and all motions share the constants of Φ: the observations `[M, dim]` whose
+            means the constants are. None: each motion has the means over its own observations.
+        counts: 1 for each frame that counts, 0 for the others.
+        dt: seconds between frames.
+        scale: s, image-plane units; errors above it count linearly.
+        dim: coordinates of a position.
+    """
+
+    unravel: Callable[[Array], PyTree]
+    rest: PyTree
+    geometry: np.ndarray
+    among: Float[Array, "M dim"] | None
+    counts: Float[Array, "T"]
+    dt: Scalar
+    scale: float
+    dim: int
+
+    @property
+    def clock(self) -> Scalar:
+        """Seconds by which velocities are multiplied."""
+        return len(self.counts) * self.dt / 2
+
+    def dynamics(self, theta: Array) -> MechanicalDynamics:
+        """Return the dynamics with the parameters θ."""
+        return eqx.combine(self.unravel(theta), self.rest)
+
+    def constants(self, theta: Array, x: Array, given: Array) -> Array:
+        """Return the constants of a motion with the observations x: the given ones unless Φ depends on θ."""
+        if not self.geometry.size:
+            return given
+        among = x if self.among is None else self.among
+        return jnp.mean(jax.vmap(self._law(theta).constraint)(among), axis=0)
+
+    def projected(self, z: Array, theta: Array, constants: Array) -> Array:
+        """Return the state (x₀, v₀) on the constraints."""
+        law = self._law(theta)
+        x = law.project_position(z[: self.dim], constants)
+        return jnp.concatenate([x, law.project_velocity(x, z[self.dim :] / self.clock)])
+
+    def path(self, z: Array, theta: Array, constants: Array, u: Array) -> Motion:
+        """Return the motion from z."""
+        first, steps = self.projected(z, theta, constants), len(self.counts) - 1
+        state = State(Motion(first[: self.dim], first[self.dim :]), {"constants": constants})
+        return self.dynamics(theta).rollout(state, u if u.ndim == 1 else u[:steps], self.dt, steps)
+
+    def counted(self, values: Array) -> Array:
+        """Return values of all frames with zeros in the frames that do not count."""
+        # What has diverged after the last frame that counts must not spread.
+        return jnp.where(self.counts.reshape(-1, *[1] * (values.ndim - 1)) > 0, values, 0.0)
+
+    def __call__(self, error: Float[Array, "T dim"]) -> Float[Array, ""]:
+        """Return the cost of these differences; infinity if one is not finite."""
+        total = jnp.sum(self.scale**2 * (jnp.sqrt(1 + (self.counted(error) / self.scale) ** 2) - 1))
+        return jnp.where(jnp.isfinite(total), total, jnp.inf)
+
+    def quadratic(
+        self, z: Array, theta: Array, x: Array, given: Array, u: Array
+    ) -> tuple[Float[Array, "S S"], Float[Array, "S"], Float[Array, ""], Float[Array, "T dim"]]:
+        """Compute matrix, slope and value of the quadratic model of the cost in (z, θ), and the path.
+
+        Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B
+        takes the derivative of the acceleration at the two frames as linear between them: an error of (ω dt)², which
+        slows the convergence a little and leaves the paths exact, for a fifth of the time. For numbers of the
+        constraints B is exact.
+
+        Args:
+            z: initial state.
+            theta: θ.
+            x: observations of the motion `[T, dim]`.
+            given: constants of Φ, used where Φ does not depend on θ.
+            u: inputs, constant `[l]` or one a frame `[T, l]`.
+        """
+        length, dim, size = len(self.counts), self.dim, 2 * self.dim
+        constants = self.constants(theta, x, given)
+        path = self.path(z, theta, constants, u)
+        states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
+        inputs = jnp.broadcast_to(u[None], (length, u.shape[0])) if u.ndim == 1 else u
+
+        def shaped(numbers: Array) -> tuple[Array, Array]:
+            """Return θ with these numbers of the constraints, and the constants."""
+            changed = theta.at[self.geometry].set(numbers)
+            return changed, self.constants(changed, x, given)
+
+        def step(state: Array, u: Array, theta: Array = theta, constants: Array = constants) -> Array:
+            now = State(Motion(state[:dim], state[dim:]), {"constants": constants})
+            return jnp.concatenate(self.dynamics(theta).step(now, u, self.dt).coordinates)
+
+        def accelerate(theta: Array, state: Array, u: Array) -> Array:
+            return self.dynamics(theta).law.acceleration(state[:dim], state[dim:], u)
+
+        transitions = jax.vmap(jax.jacfwd(step))(states[:-1], inputs[:-1])
+        first = jax.jacfwd(self.projected)(z, theta, constants)
+        first = jnp.concatenate([first, jnp.zeros((size, theta.size))], axis=1)
+        slopes = jnp.zeros((length, dim, 0))
+        if theta.size:
+            slopes = jax.vmap(lambda state, u: jax.jacrev(accelerate)(theta, state, u))(states, inputs)
+        here, then = slopes[:-1], slopes[1:]
+        pushes = jnp.concatenate([self.dt**2 / 6 * (2 * here + then), self.dt / 2 * (here + then)], axis=1)
+        pushes = jnp.concatenate([jnp.zeros((length - 1, size, size)), pushes], axis=2)
+        if self.geometry.size:
+            numbers, columns = theta[self.geometry], size + self.geometry
+            first = first.at[:, columns].set(jax.jacfwd(lambda numbers: self.projected(z, *shaped(numbers)))(numbers))
+            exact = jax.jacfwd(
+                lambda numbers: jax.vmap(lambda s, u: step(s, u, *shaped(numbers)))(states[:-1], inputs[:-1])
+            )
+            pushes = pushes.at[:, :, columns].set(exact(numbers))
+
+        def pass_frame(slope: Array, matrices: tuple[Array, Array]) -> tuple[Array, Array]:
+            slope = jnp.matmul(matrices[0], slope, precision="highest") + matrices[1]
+            return slope, slope[:dim]
+
+        _, later = jax.lax.scan(pass_frame, first, (transitions, pushes))
+        slopes = self.counted(jnp.concatenate([first[None, :dim], later])).reshape(length * dim, -1)
+        error = self.counted(error)
+        pull = slopes * jax.lax.rsqrt(1 + (error / self.scale) ** 2).reshape(-1, 1)
+        matrix = jnp.matmul(pull.T, slopes, precision="highest")
+        slope = jnp.matmul(pull.T, error.reshape(-1), precision="highest")
+        # A motion whose derivatives overflow keeps its state, and θ does not hear of it.
+        sound = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(slope))
+        return jnp.where(sound, matrix, 0.0), jnp.where(sound, slope, 0.0), self(error), path.x
+
+    def _law(self, theta: Array) -> ConstrainedLagrangian:
+        law = self.dynamics(theta).law
+        assert isinstance(law, ConstrainedLagrangian)
+        return law
+
+
+def motion_cost(
+    dynamics: MechanicalDynamics,
+    free: PyTree,
+    observed: Float[Array, "N T dim"],
+    dt: Scalar,
+    frames: int | Int[Array, ""] | None,
+    scale: float,
+    *,
+    shared: bool,
+) -> tuple[MotionCost, Float[Array, "P"]]:
+    """Return the cost of motions, and θ of the given dynamics.
+
+    Args:
+        dynamics: of a `ConstrainedLagrangian`.
+        free: a pytree of bools of the dynamics' shape: which leaves are θ.
+        observed: observed positions.
+        dt: seconds between frames.
+        frames: how many of the first frames count; None: all.
+        scale: s of the cost.
+        shared: whether all motions have the same constants of Φ.
+    """
+    _, length, dim = observed.shape
+    parameters, rest = eqx.partition(dynamics, free)
+    theta, unravel = ravel_pytree(parameters)
+    of_constraints = [
+        np.full(leaf.size, ".constraint_function" in jax.tree_util.keystr(path))
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parameters)
+    ]
+    geometry = np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_constraints]))
+    counts = (jnp.arange(length) < (length if frames is None else frames)).astype(observed.dtype)
+    among = observed.reshape(-1, dim) if shared else None
+    return MotionCost(unravel, rest, geometry, among, counts, dt, scale, dim), theta
