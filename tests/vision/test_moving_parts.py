@@ -42,5 +42,15 @@ def test_two_spots_of_one_colour_are_followed_past_each_other():
     assert min(error(part, ONE) for part in parts) < 0.02 and min(error(part, -ONE / 2) for part in parts) < 0.02
 
 
+def test_a_small_spot_that_vanishes_for_a_while_comes_back_as_itself():
+    """Twelve frames, in which one of two equal spots of some ten pixels is covered and goes half around."""
+    gone = ONE.copy()
+    gone[20:32] = 9.0
+    parts = moving_parts(scene([(gone, 0.08, (0.1, 0.1, 0.1)), (-ONE / 2, 0.08, (0.1, 0.1, 0.1))]))
+    one, other = sorted(parts, key=lambda part: error(part, ONE))
+    assert error(one, ONE) < 0.02 and error(other, -ONE / 2) < 0.02
+    assert not one.seen[20:32].any() and one.seen.sum() > 40 and other.seen.sum() > 50
+
+
 def test_nothing_moves():
     assert moving_parts(scene([])) == []

@@ -47,12 +47,14 @@ class Candidate:
         mechanism: its name; None where it has none.
         constraints: keypoints and relations.
         x: tracks of the keypoints `[T, 2K]`, image-plane units.
+        seen: whether all parts are seen whole `[T]`; tracks are interpolated elsewhere.
         residuals: for each relation, how far the track deviates from it, as a share of the track's extent.
     """
 
     mechanism: str | None
     constraints: Constraints
     x: Float[np.ndarray, "T dim"]
+    seen: Bool[np.ndarray, "T"]
     residuals: dict[str, float]
 
     @property
@@ -113,14 +115,16 @@ def candidates(
 
     chains = [(places, chained(own[places[0]][0], places)) for places in itertools.permutations(kept)]
     places, best = min(chains, key=lambda each: _cost(each[1]))
-    found = [_candidate(best, tracks[list(places)])]
+    used = list(places)
+    all_seen = np.asarray(seen[used].all(axis=0))
+    found = [_candidate(best, tracks[used], all_seen)]
     other = own[places[0]][1]
     if math.isfinite(other.residual):
-        found.append(_candidate(chained(other, places), tracks[list(places)]))
+        found.append(_candidate(chained(other, places), tracks[used], all_seen))
     first = best[:1] if len(kept) > 1 else []
     free = [_Placed("free", 0.0, tracks[k], None) for k in places[len(first) :]]
     if any(each.kind != "free" for each in best[len(first) :]):
-        found.append(_candidate([*first, *free], tracks[list(places)]))
+        found.append(_candidate([*first, *free], tracks[used], all_seen))
     return found
 
 
@@ -197,7 +201,7 @@ def _link(track: np.ndarray, before: np.ndarray, root: _Placed, seen: np.ndarray
     return best
 
 
-def _candidate(chain: list[_Placed], tracks: np.ndarray) -> Candidate:
+def _candidate(chain: list[_Placed], tracks: np.ndarray, seen: np.ndarray) -> Candidate:
     kinds = tuple(each.kind for each in chain)
     mechanism, names = _NAMES.get(kinds, (None, tuple(f"part{k + 1}" for k in range(len(chain)))))
     points, items, residuals = list(tracks), [], {}
@@ -216,7 +220,7 @@ def _candidate(chain: list[_Placed], tracks: np.ndarray) -> Candidate:
         items.append(relation)
         residuals[label] = float(each.residual)
     x = np.stack(points, axis=1).reshape(len(points[0]), -1)
-    return Candidate(mechanism, Constraints(names, items), x, residuals)
+    return Candidate(mechanism, Constraints(names, items), x, seen, residuals)
 
 
 def _follows(track: np.ndarray, other: _Placed, place: np.ndarray, seen: np.ndarray) -> bool:

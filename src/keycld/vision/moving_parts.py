@@ -183,19 +183,20 @@ def _spots(mask: Bool[np.ndarray, "T H W"], weight: np.ndarray, colour: np.ndarr
 
 
 def _components(core: np.ndarray, whole: np.ndarray, weight: np.ndarray) -> list[np.ndarray]:
-    """Return row, column, area and longer radius of gyration of each spot of a frame, of its thick middle."""
+    """Return row, column, area and longer radius of gyration of each spot of a frame: its thick middle with its rim."""
     from scipy import ndimage
 
     labels, count = _labelled(core)
+    pieces, _ = _labelled(whole)
     sizes = np.bincount(labels.reshape(-1))[1:]
-    spots = [k + 1 for k in range(count) if sizes[k] >= 0.35 * sizes.max()]
-    if len(spots) == 1:
-        # The whole of a single part is more exact than its middle, where it is of one piece.
-        pieces, _ = _labelled(whole)
-        own = pieces == pieces[labels == spots[0]][0]
-        near = ndimage.binary_dilation(labels == spots[0], np.ones((3, 3)))
-        return [_measured(own & near, weight)]
-    return [_measured(labels == k, weight) for k in spots]
+    found = []
+    for k in range(1, count + 1):
+        middle = labels == k
+        if sizes[k - 1] >= 0.35 * sizes.max():
+            # With the rim, of which a spot of four pixels has twice as many.
+            near = ndimage.binary_dilation(middle, np.ones((3, 3)))
+            found.append(_measured(near & (pieces == pieces[middle][0]), weight))
+    return found
 
 
 def _labelled(mask: np.ndarray) -> tuple[np.ndarray, int]:
@@ -216,22 +217,26 @@ def _measured(spot: np.ndarray, weight: np.ndarray) -> np.ndarray:
 
 
 def _followed(frames: list[list[np.ndarray]], count: int) -> Float[np.ndarray, "T count 4"]:
-    """Return the spots of each frame in the order in which those before would go on; NaN where the count differs."""
+    """Return the spots of each frame in the order in which those before would go on; NaN for one that is not there.
+
+    Each part goes on with its last velocity, for less certain the longer it has not been seen. Frames with more spots
+    than parts do not count.
+    """
     places = np.full((len(frames), count, 4), np.nan)
-    last: list[int] = []
+    # Of each part: the last frame in which it was seen, and its place and velocity there.
+    when, where, speed = np.zeros(count), np.zeros((count, 2)), np.zeros((count, 2))
+    begun = False
     for t, spots in enumerate(frames):
-        if len(spots) != count:
+        if not spots or len(spots) > count or (not begun and len(spots) < count):
             continue
         now = np.stack(spots)
-        if last:
-            before = places[last[-1], :, :2]
-            speed = 0.0
-            if len(last) > 1:
-                speed = (before - places[last[-2], :, :2]) / (last[-1] - last[-2])
-            expected = before + speed * (t - last[-1])
-            orders = list(itertools.permutations(range(count)))
-            costs = [np.sum((now[list(order), :2] - expected) ** 2) for order in orders]
-            now = now[list(orders[int(np.argmin(costs))])]
-        places[t] = now
-        last.append(t)
+        order = list(range(count))
+        if begun:
+            off = np.linalg.norm(now[:, None, :2] - (where + speed * (t - when)[:, None])[None], axis=-1) / (t - when)
+            orders = [list(each) for each in itertools.permutations(range(count), len(spots))]
+            order = min(orders, key=lambda each: float(np.sum(off[np.arange(len(spots)), each] ** 2)))
+        places[t, order] = now
+        if begun:
+            speed[order] = (now[:, :2] - where[order]) / (t - when[order])[:, None]
+        when[order], where[order], begun = t, now[:, :2], True
     return places

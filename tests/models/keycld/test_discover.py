@@ -5,14 +5,14 @@ import pytest
 
 from keycld.mechanics import Candidate, Constraints, DistanceToPoint, load_constraints
 from keycld.models.keycld import discover
-from keycld.models.keycld.discover import judge_candidates
+from keycld.models.keycld.discover import judge_candidates, pieces
 
-X = np.zeros((60, 2))
-PENDULUM = Candidate("pendulum", load_constraints("pendulum"), X, {"distance_to_point ball": 0.01})
-FREE = Candidate(None, Constraints(("part1",)), X, {})
-LINE = Candidate("spring", load_constraints("spring"), X, {"on_line mass": 0.3})
+X, SEEN = np.zeros((60, 2)), np.ones(60, bool)
+PENDULUM = Candidate("pendulum", load_constraints("pendulum"), X, SEEN, {"distance_to_point ball": 0.01})
+FREE = Candidate(None, Constraints(("part1",)), X, SEEN, {})
+LINE = Candidate("spring", load_constraints("spring"), X, SEEN, {"on_line mass": 0.3})
 HALF = Candidate(
-    None, Constraints(("a", "b"), (DistanceToPoint("a"),)), np.zeros((60, 4)), {"distance_to_point a": 0.01}
+    None, Constraints(("a", "b"), (DistanceToPoint("a"),)), np.zeros((60, 4)), SEEN, {"distance_to_point a": 0.01}
 )
 
 
@@ -34,3 +34,19 @@ def test_the_choice(monkeypatch, first, error, second, other, chosen):
     assert [each.candidate is chosen for each in judged if each.chosen] == ([] if chosen is None else [True])
     assert judged[-1].candidate is LINE and judged[-1].error is None
     assert chosen is None or judged[0].candidate is chosen
+
+
+def test_a_fit_takes_only_frames_in_which_all_parts_are_seen():
+    """Two runs of seen frames, 43 and 39 long: pieces of 39, one of each, and none across the gap."""
+    seen = np.ones(120, bool)
+    seen[43:66], seen[105:118] = False, False
+    starts, length = pieces(seen, 60)
+    assert (starts, length) == ([0, 66], 39)
+    assert all(seen[start : start + length].all() for start in starts)
+    assert pieces(np.ones(120, bool), 60) == ([0, 60], 60)
+
+
+def test_a_part_that_is_not_seen_in_the_validation_part_predicts_nothing():
+    seen = np.concatenate([np.ones(40, bool), np.zeros(20, bool)])
+    judged = judge_candidates([Candidate("pendulum", PENDULUM.constraints, X, seen, PENDULUM.residuals)], 40, 1 / 30)
+    assert judged[0].error == np.inf and not judged[0].chosen

@@ -30,6 +30,8 @@ PREDICTED, PREDICTED_FREE = 0.25, 0.1
 keypoint has a constraint that holds, which is evidence too, and where a keypoint is free."""
 EXPLAINED = 0.3
 """The parts that are followed are at least this share of what moves."""
+# Frames in a row that may be unseen, and the fewest of the validation part that are predicted from and compared.
+_GAP, _LEAST = 2, 4
 # A mechanism with more degrees of freedom must predict so many times better.
 _BETTER = 1.5
 # Below this share of the extent predictions are equally good.
@@ -105,20 +107,24 @@ def _limit(candidate: Candidate) -> float:
 
 def _error(candidate: Candidate, fitted: int, dt: float) -> float:
     """Return the error of the predicted validation part, as a share of the extent of the motion."""
-    train, held = candidate.x[:fitted], candidate.x[fitted:]
-    positions = jnp.asarray(train, jnp.float32)
-    constraints = candidate.constraints.located(positions)
-    shared = jnp.mean(jax.vmap(constraints)(positions), axis=0)
+    train, seen = candidate.x[:fitted], _with_gaps_closed(candidate.seen)
+    first, frames = max(_runs(seen[fitted:]), key=lambda run: run[1], default=(0, 0))
+    if frames < _LEAST or not seen[:fitted].any():
+        return float("inf")
+    constraints = candidate.constraints.located(jnp.asarray(train[seen[:fitted]], jnp.float32))
+    shared = jnp.mean(jax.vmap(constraints)(jnp.asarray(train[seen[:fitted]], jnp.float32)), axis=0)
     # A chain's motion is fitted in halves, as the recordings of a clip are: after a while nearby motions part.
-    pieces = 1 if constraints.count < 2 else 2
-    length, given = len(train) // pieces, min(GIVEN, len(held) // 2)
-    shown = min(len(held), length)
+    starts, length = pieces(seen[:fitted], fitted if constraints.count < 2 else fitted // 2)
+    shown = min(frames, length)
+    held = candidate.x[fitted + first :][:shown]
+    given = min(GIVEN, shown // 2)
     # In the shape of the training part, so that one program serves both.
-    padded = np.concatenate([held[:shown], np.repeat(held[shown - 1 : shown], length - shown, axis=0)])
+    padded = np.concatenate([held, np.repeat(held[-1:], length - shown, axis=0)])
 
-    def tracks(x: np.ndarray) -> Tracks:
-        pieced = jnp.asarray(x.reshape(pieces, length, -1), jnp.float32)
-        return Tracks(pieced, jnp.zeros((pieces, 0)), jnp.float32(dt), shared, True)
+    def tracks(pieces: list[np.ndarray]) -> Tracks:
+        return Tracks(
+            jnp.asarray(np.stack(pieces), jnp.float32), jnp.zeros((len(pieces), 0)), jnp.float32(dt), shared, True
+        )
 
     law = ConstrainedLagrangian(
         mass=CoupledMasses.ones(len(constraints.keypoints)),
@@ -126,13 +132,41 @@ def _error(candidate: Candidate, fitted: int, dt: float) -> float:
         input_matrix=None,
         constraint=constraints,
     )
-    observed = tracks(train[len(train) - pieces * length :])
+    observed = tracks([train[start : start + length] for start in starts])
     found = identify(MechanicalDynamics(law, Rattle(substeps=2)), observed, pixel=0.0, terms=_forces(constraints))
-    paths = np.asarray(ahead(found.dynamics, tracks(np.tile(padded, (pieces, 1))), given), float)
-    off = (paths[0] - padded)[given:shown]
-    extent = np.sqrt(np.mean(np.sum((train - train.mean(axis=0)) ** 2, axis=1)))
+    paths = np.asarray(ahead(found.dynamics, tracks([padded] * len(starts)), given), float)
+    off = (paths[0, :shown] - held)[given:]
+    moving = train[seen[:fitted]]
+    extent = np.sqrt(np.mean(np.sum((moving - moving.mean(axis=0)) ** 2, axis=1)))
     error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))) / extent)
     return error if np.isfinite(error) else float("inf")
+
+
+def _with_gaps_closed(seen: np.ndarray) -> np.ndarray:
+    """Return which frames are as good as seen: interpolation over a frame or two errs little."""
+    closed = seen.copy()
+    for first, count in _runs(~seen):
+        if count <= _GAP and 0 < first < len(seen) - count:
+            closed[first : first + count] = True
+    return closed
+
+
+def pieces(seen: np.ndarray, most: int) -> tuple[list[int], int]:
+    """Return the first frames of pieces of one length without an unseen frame, and that length.
+
+    Of all lengths between `most`, or the longest run of seen frames, and half of it, the pieces of this one have the
+    most frames.
+    """
+    runs = _runs(seen)
+    most = min(most, max(count for _, count in runs))
+    length = max(range(most // 2 + 1, most + 1), key=lambda n: (n * sum(count // n for _, count in runs), n))
+    return [first + k * length for first, count in runs for k in range(count // length)], length
+
+
+def _runs(marked: np.ndarray) -> list[tuple[int, int]]:
+    """Return first number and length of each run of marked frames."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], marked.astype(int), [0]])))
+    return [(int(first), int(end - first)) for first, end in edges.reshape(-1, 2)]
 
 
 def _forces(constraints: Constraints) -> tuple[str, ...]:
