@@ -192,7 +192,8 @@ def test_the_data_of_another_process_stay(tmp_path, monkeypatch, capsys):
 
 
 def test_a_comparison_whose_clip_is_refused_later_stays_for_no_other_clip(tmp_path, capsys, monkeypatch):
-    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.0})
+    held = {"distance_to_point ball": 0.0}
+    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), np.ones(60, bool), held)
     monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [discovery.Judged(circle, 0.01, True)])
     video(tmp_path / "swing.mp4", swing())
     command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "auto", "--out", str(tmp_path / "run")]
