@@ -205,7 +205,8 @@ def test_a_comparison_whose_clip_is_refused_later_stays_for_no_other_clip(tmp_pa
 
 def test_a_clip_in_which_no_mechanism_is_found_says_so(tmp_path, capsys, monkeypatch):
     """Its candidates are stored, so that the same command answers at once."""
-    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), {"distance_to_point ball": 0.2})
+    held = {"distance_to_point ball": 0.2}
+    circle = Candidate("pendulum", load_constraints("pendulum"), np.zeros((60, 2)), np.ones(60, bool), held)
     monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [discovery.Judged(circle, None)])
     video(tmp_path / "swing.mp4", swing())
     command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "auto", "--out", str(tmp_path / "run"), "--json"]
