@@ -39,8 +39,6 @@ def test_time_series_are_the_sensors_of_the_exported_model(tracks, tmp_path):
 
 def test_mujoco_sysid_reads_the_time_series(tracks, tmp_path):
     sysid = pytest.importorskip("mujoco.sysid")
-    if not hasattr(sysid, "TimeSeries"):
-        pytest.skip("mujoco was installed without its extra sysid")
     path = write_time_series(tmp_path, tracks)[0]
     series = sysid.TimeSeries.load_from_disk(path)
     assert series.signal_mapping["tip"][0] is sysid.SignalType.MjSensor
