@@ -46,7 +46,13 @@ def test_a_fit_takes_only_frames_in_which_all_parts_are_seen():
     assert pieces(np.ones(120, bool), 60) == ([0, 60], 60)
 
 
-def test_a_part_that_is_not_seen_in_the_validation_part_predicts_nothing():
-    seen = np.concatenate([np.ones(40, bool), np.zeros(20, bool)])
+@pytest.mark.parametrize("part", ["validation", "training"])
+def test_a_part_that_is_hardly_seen_predicts_nothing(part):
+    """In no frame of the validation part; in the training part never for more than three frames in a row."""
+    seen = np.ones(60, bool)
+    if part == "validation":
+        seen[40:] = False
+    else:
+        seen[:40] = np.arange(40) % 6 < 3
     judged = judge_candidates([Candidate("pendulum", PENDULUM.constraints, X, seen, PENDULUM.residuals)], 40, 1 / 30)
     assert judged[0].error == np.inf and not judged[0].chosen

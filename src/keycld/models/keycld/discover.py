@@ -30,7 +30,7 @@ PREDICTED, PREDICTED_FREE = 0.25, 0.1
 keypoint has a constraint that holds, which is evidence too, and where a keypoint is free."""
 EXPLAINED = 0.3
 """The parts that are followed are at least this share of what moves."""
-# Frames in a row that may be unseen, and the fewest of the validation part that are predicted from and compared.
+# Frames in a row that may be unseen, and the fewest of a piece that is fitted, or given and predicted.
 _GAP, _LEAST = 2, 4
 # A mechanism with more degrees of freedom must predict so many times better.
 _BETTER = 1.5
@@ -111,20 +111,23 @@ def _error(candidate: Candidate, fitted: int, dt: float) -> float:
     first, frames = max(_runs(seen[fitted:]), key=lambda run: run[1], default=(0, 0))
     if frames < _LEAST or not seen[:fitted].any():
         return float("inf")
-    constraints = candidate.constraints.located(jnp.asarray(train[seen[:fitted]], jnp.float32))
-    shared = jnp.mean(jax.vmap(constraints)(jnp.asarray(train[seen[:fitted]], jnp.float32)), axis=0)
+    moving = train[seen[:fitted]]
+    positions = jnp.asarray(moving, jnp.float32)
+    constraints = candidate.constraints.located(positions)
+    shared = jnp.mean(jax.vmap(constraints)(positions), axis=0)
     # A chain's motion is fitted in halves, as the recordings of a clip are: after a while nearby motions part.
     starts, length = pieces(seen[:fitted], fitted if constraints.count < 2 else fitted // 2)
+    if length < _LEAST:
+        return float("inf")
     shown = min(frames, length)
     held = candidate.x[fitted + first :][:shown]
     given = min(GIVEN, shown // 2)
     # In the shape of the training part, so that one program serves both.
     padded = np.concatenate([held, np.repeat(held[-1:], length - shown, axis=0)])
 
-    def tracks(pieces: list[np.ndarray]) -> Tracks:
-        return Tracks(
-            jnp.asarray(np.stack(pieces), jnp.float32), jnp.zeros((len(pieces), 0)), jnp.float32(dt), shared, True
-        )
+    def tracks(motions: list[np.ndarray]) -> Tracks:
+        x = jnp.asarray(np.stack(motions), jnp.float32)
+        return Tracks(x, jnp.zeros((len(motions), 0)), jnp.float32(dt), shared, True)
 
     law = ConstrainedLagrangian(
         mass=CoupledMasses.ones(len(constraints.keypoints)),
@@ -136,7 +139,6 @@ def _error(candidate: Candidate, fitted: int, dt: float) -> float:
     found = identify(MechanicalDynamics(law, Rattle(substeps=2)), observed, pixel=0.0, terms=_forces(constraints))
     paths = np.asarray(ahead(found.dynamics, tracks([padded] * len(starts)), given), float)
     off = (paths[0, :shown] - held)[given:]
-    moving = train[seen[:fitted]]
     extent = np.sqrt(np.mean(np.sum((moving - moving.mean(axis=0)) ** 2, axis=1)))
     error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))) / extent)
     return error if np.isfinite(error) else float("inf")
