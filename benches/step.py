@@ -27,15 +27,6 @@ from keycld.training.step import initial_progress, make_step
 ROUNDS, STEPS, DT = 5, 10, 0.02
 USUAL = {"frames": 16, "side": 64, "keypoints": 2, "horizon": 50}
 GROWTH = {"frames": (8, 16, 32), "side": (32, 64, 96), "keypoints": (1, 2, 4), "horizon": (25, 50, 100)}
-LABELS = {
-    name: f"{word}: {', '.join(map(str, GROWTH[name]))}"
-    for name, word in {
-        "frames": "frames",
-        "side": "pixels along a side",
-        "keypoints": "keypoints",
-        "horizon": "horizon",
-    }.items()
-}
 
 
 def seconds(function, *arguments, repeats=STEPS):
@@ -136,13 +127,14 @@ def main():
     }
     if plot:
         result["growth"] = growth
-        # An image of twice the side has four times the pixels.
-        power = {"side": 2}
-        curves = [
-            Curve((np.array(GROWTH[name]) / GROWTH[name][0]) ** power.get(name, 1), np.array(times), LABELS[name])
-            for name, times in ((name, list(found.values())) for name, found in growth.items())
-        ]
-        figure = curves_figure(curves, "times the smallest one", "time of a step, matrix products")
+        curves = []
+        for name, found in growth.items():
+            sizes = np.array(list(found))
+            # A picture of twice the side has four times the pixels.
+            amounts = sizes**2 if name == "side" else sizes
+            label = f"{name}: {', '.join(map(str, sizes))}"
+            curves.append(Curve(amounts / amounts[0], np.array(list(found.values())), label))
+        figure = curves_figure(curves, "times the smallest one (side: pixels)", "time of a step, matrix products")
         figure.axes[0].set_ylim(bottom=0.0)
         save_figure(plot, figure)
     else:
