@@ -310,6 +310,9 @@ def _plot(axes: "Axes", curves: Sequence[Curve], logarithmic: bool) -> None:
         )
     if logarithmic:
         axes.set_yscale("log")
+    else:
+        # Whole numbers: a power of ten above the axis would lie on the texts of marks.
+        axes.yaxis.set_major_formatter("{x:g}")
     axes.grid(axis="y", color=INK.line, linewidth=0.6, alpha=0.6)
     axes.set_axisbelow(True)
     axes.margins(x=0.01)

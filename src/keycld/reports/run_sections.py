@@ -41,7 +41,9 @@ def training(run: Run) -> str:
     if run.failures and not run.failed:
         note += f" It began again with other initial weights: {html.text(' '.join(run.failures))}"
     chart = html.figure(
-        html.chart(figure, "training"), "Loss terms and scores; a hairline is the first step of a stage."
+        html.chart(figure, "training"),
+        "Loss terms and scores; a hairline is the first step of a stage. Each stage has a loss of its own, and its "
+        "predictions may become longer, so that a rise alone is no failure.",
     )
     return html.section("training", "Training", html.paragraph(note) + chart)
 
