@@ -51,6 +51,16 @@ def test_gravity_is_found_from_noisy_observations_of_whole_swings(pendulums):
     assert float(fitted.rms) == pytest.approx(0.01, rel=0.1)
 
 
+def test_gravity_is_found_from_a_guess_five_times_too_weak(pendulums):
+    """The first steps go too far and gain nothing. A fit that ended there left swings at 0.05 from the observations."""
+    _, seen = pendulums
+    guess = swinging(2.0)
+    free = free_leaves(guess, lambda name: name.endswith("potential.weight"))
+    fitted = jax.jit(lambda x: fit_motions(guess, free, x, jnp.zeros((12, 0)), DT))(seen)
+    assert np.asarray(fitted.dynamics.law.potential.weight)[1] == pytest.approx(9.81, rel=0.01)
+    assert float(fitted.rms) == pytest.approx(0.01, rel=0.1)
+
+
 def test_with_nothing_free_only_initial_states_are_fitted(pendulums):
     paths, seen = pendulums
     truth = swinging(9.81)

@@ -162,7 +162,10 @@ def test_a_configuration_of_schema_1_is_migrated(whole):
     (old / "config.json").write_text(json.dumps(config))
     loaded, now = load_run(old)
     assert_same(model, loaded)
-    assert now.settings["vision"] == settings["vision"] | {"worst": 0.2} and now.settings["joint"]["rate"] == 2e-3
+    assert (
+        now.settings["vision"] == settings["vision"] | {"worst": 0.2, "patches": [0.0, 0.0]}
+        and now.settings["joint"]["rate"] == 2e-3
+    )
     assert now.settings["joint"]["steps"] == 2000 and now.scene["dt"] == 0.05
 
 
@@ -185,6 +188,22 @@ def test_a_configuration_of_schema_2_is_migrated(whole):
         "horizons": [8, 16, 32, 50, 50],
         "fit_every": 400,
     }
+
+
+@pytest.mark.parametrize("preset", ["fast", "clip"])
+def test_a_configuration_of_schema_4_is_migrated(whole, preset):
+    """Patches counted in clips alone, by settings outside of the stage."""
+    root, _, _ = whole
+    old = shutil.copytree(root / "whole", root / f"fourth-{preset}")
+    config = json.loads((old / "config.json").read_text())
+    settings = config_for("keycld", preset, constraints=config["settings"]["constraints"]).settings()
+    for name in ("patches", "patch"):
+        del settings["vision"][name]
+    of_clips = {"rigid": 1.5, "patch": 0.05} if preset == "clip" else {}
+    config |= {"schema_version": 4, "preset": preset, "settings": settings | of_clips}
+    (old / "config.json").write_text(json.dumps(config))
+    vision = read_config(old).settings["vision"]
+    assert (vision["patches"], vision["patch"]) == (([1.5, 1.5], 0.05) if preset == "clip" else ([0.0, 0.0], 0.06))
 
 
 def test_a_model_that_grew_is_resumed_and_loaded(whole, monkeypatch):

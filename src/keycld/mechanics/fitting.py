@@ -18,7 +18,7 @@ from keycld.mechanics.state import Motion, Scalar
 
 # Bounds of the damping, and the least curvature of a direction, as a share of the largest.
 _LEAST, _MOST, _FLAT = 1e-6, 1e4, 1e-3
-# A fit ends after so many steps in a row that gain less than this share of the cost.
+# A fit ends after so many steps in a row that gain less than this share of the cost, and were expected to.
 _STALLS, _GAIN = 3, 1e-3
 
 
@@ -93,7 +93,7 @@ def fit_motions(
         initial: initial states to begin with, `[N, dim]` each; None: `rough_states`.
         searches: steps of the initial states alone before the others.
         iterations: the most steps of initial states and θ together. It ends after three in a row that gain less than a
-            thousandth of the cost each: from a good guess after 4.
+            thousandth of the cost each, and by their quadratic model could gain no more: from a good guess after 4.
         scale: s, image-plane units; errors above it count linearly.
         chunk: trajectories differentiated at a time.
 
@@ -202,8 +202,11 @@ def _improved(
     moved = prices[:, 1] < prices[:, 0]
     total, reached = jnp.sum(old), jnp.sum(jnp.min(prices, axis=1))
     better = reached < total
+    expected = 0.5 * (jnp.sum(slope[:, :size] * (now.z - new_z)) + jnp.sum(slope[:, size:] @ change))
     chosen_paths = jnp.where(moved[:, None, None], new_paths[:, 1], new_paths[:, 0])
     least = jnp.minimum(reached, total)
+    # A step that gains nothing though much was expected went too far: the next one is shorter.
+    going = (least < (1 - _GAIN) * now.least) | (~better & (expected > _GAIN * total)) | searching
     return _Search(
         z=jnp.where((better & moved)[:, None], new_z, now.z),
         dampings=_next_damping(moved, now.dampings),
@@ -212,7 +215,7 @@ def _improved(
         least=least,
         curvature=curvature,
         paths=jnp.where(better, chosen_paths, paths),
-        stalls=jnp.where((least < (1 - _GAIN) * now.least) | searching, 0, now.stalls + 1),
+        stalls=jnp.where(going, 0, now.stalls + 1),
         taken=now.taken + 1,
     )
 

@@ -156,6 +156,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         constraint=first.constraint,
         coupling=first.coupling,
         joints=first.joints,
+        patches=first.patches,
+        patch=first.patch,
         steps=float(first.steps),
         sigma=first.sigma,
     )

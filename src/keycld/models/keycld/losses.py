@@ -10,12 +10,13 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 from keycld.data import Clip
 from keycld.mechanics import Scalar, State
 from keycld.models.keycld.model import AbstractKeypointModel
+from keycld.models.keycld.patches import shared_patches
 from keycld.stages import AbstractLoss, Terms
 from keycld.vision import DenseEstimator, KeypointEstimator, Observation, gaussian_maps, image_grid
 
 
 class VisionLoss(AbstractLoss):
-    """Loss of single frames: L = L_r + w_h L_h + Σ_i w_i(t) U_i.
+    """Loss of single frames: L = L_r + w_h L_h + Σ_i w_i(t) U_i − w_s(t) S.
 
         L_r = mean over frames of |z' − z|²                 reconstruction, sum over pixels, eq. (10)
         L_h = mean over frames of Σ_k Σ_p b log(b / s)      heat maps s against Gaussians b at their own keypoints
@@ -25,9 +26,10 @@ class VisionLoss(AbstractLoss):
     (6), so the values of Φ are free, but they must be constant: no dynamics can follow keypoints whose distance to the
     pivot changes with the angle (arXiv v1, Fig. 13b). Unknown pivots and directions are those that fit the batch best.
     t = min(step / steps, 1) is the progress of the stage. Where the parts look different in each recording, a clip has
-    two frames, and each is rendered with the looks that are seen in the other: so looks cannot hide positions.
+    two frames, and each is rendered with the looks that are seen in the other: so looks cannot hide positions. S is how
+    alike the patches around each keypoint are in all frames (`shared_patches`).
 
-    Source: arXiv v1, eq. (10), for L_r; L_h after the heat-map loss of the 2024 version; U is ours.
+    Source: arXiv v1, eq. (10), for L_r; L_h after the heat-map loss of the 2024 version; U and S are ours.
 
     Attributes:
         heat_map: w_h.
@@ -52,6 +54,11 @@ class VisionLoss(AbstractLoss):
             which no constraint acts. Nothing else says where on its part a free keypoint is, and forces act between
             centres: no central force explained two keypoints that were each a pixel off theirs, to opposite sides
             (`results/priors-keycld.md`). Near the end it would only add the noise of the pixels.
+        patches: w_s at t = 0.35 and for t ≥ 0.7, linear between. Before, it grows linearly from zero at t = 0.1: it would
+            keep keypoints that have not found their parts yet on the part that stands out most. Along a rod of one
+            colour all patches are alike, and those nearer to its pivot most: the last value is zero where motions in
+            all directions tell the joint more exactly by its constant distances.
+        patch: width of these patches, image-plane units.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
     """
@@ -62,6 +69,8 @@ class VisionLoss(AbstractLoss):
     joints: float = 0.85
     coverage: float = 0.0
     centre: float = 1.0
+    patches: tuple[float, float] = (2.0, 0.0)
+    patch: float = 0.06
     steps: float = 1000.0
     sigma: float = 0.05
 
@@ -93,6 +102,7 @@ class VisionLoss(AbstractLoss):
             "reconstruction": squared_error(rendered, frames),
             "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
             "constraint": jnp.sum(uneven),
+            "patches": -shared_patches(model, observed.keypoints, frames, self.patch),
         }
         covered, found = _found(model, observed.keypoints, rendered, frames)
         free = jnp.all(_slopes(model, x) == 0, axis=(0, 1))
@@ -101,7 +111,12 @@ class VisionLoss(AbstractLoss):
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
-        total = terms["reconstruction"] + self.heat_map * terms["heat_map"] + jnp.sum(weights * uneven)
+        total = (
+            terms["reconstruction"]
+            + self.heat_map * terms["heat_map"]
+            + jnp.sum(weights * uneven)
+            + jnp.interp(done, jnp.array([0.1, 0.35, 0.7]), jnp.array([0.0, *self.patches])) * terms["patches"]
+        )
         return total + pull - jax.lax.stop_gradient(pull), terms
 
 

@@ -33,13 +33,9 @@ class ClipConfig(FastConfig):
     """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
     first_frames: float = 0.0
     """Share of the clips that contain the first frames of a trajectory."""
-    rigid: float = 2.0
-    """Weight of what patches around keypoints share."""
-    patch: float = 0.06
-    """Width of these patches, image-plane units."""
     worth: float = 0.05
     """Share by which the cost of the fit must rise without a force for it to stay."""
-    vision: VisionStage = VisionStage(steps=800, candidates=2)
+    vision: VisionStage = VisionStage(steps=800, candidates=2, patches=(2.0, 2.0))
     """First stage."""
     joint: JointStage = JointStage(steps=0)
     """Third stage."""
@@ -61,16 +57,13 @@ class ClipConfig(FastConfig):
         return Tried(tuple(friction), self.worth, takes=True, located=True)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return the stages of `fast` with the loss of patches and a last fit; without `joint` if it has no steps."""
-        from keycld.models.keycld.losses import VisionLoss
+        """Return the stages of `fast` with a last fit; without `joint` if it has no steps."""
         from keycld.models.keycld.prepare import fit_again, measure_background
-        from keycld.models.keycld.rigid_loss import RigidLoss
 
         vision, *others = super().stages(scene)
-        assert isinstance(vision.alternative, VisionLoss)
-        # All candidates are pulled to what the rendered frames lack: the trial compares them before patches count.
-        loss = RigidLoss(vision.alternative, self.rigid, self.patch)
-        vision = dataclasses.replace(vision, loss=loss, alternative=None, prepare=measure_background)
+        assert vision.alternative is not None
+        # All candidates are pulled to what the rendered frames lack.
+        vision = dataclasses.replace(vision, loss=vision.alternative, alternative=None, prepare=measure_background)
         found = [vision, *(stage for stage in others if stage.name != "joint" or stage.steps)]
         if self.model != "node2":
             again = functools.partial(fit_again, tried=self.tried if self.terms is None else None)

@@ -45,6 +45,10 @@ class VisionStage:
     coverage: float = 10.0
     """Initial weight, in every second trial, of the term that pulls keypoints to what the rendered frames lack; zero
     from a quarter of the steps on."""
+    patches: tuple[float, float] = (2.0, 0.0)
+    """Weight of what patches around keypoints share in all frames, at 0.35 of the steps and from 0.7 on."""
+    patch: float = 0.06
+    """Width of these patches, image-plane units."""
     worst: float = 0.2
     """Reconstruction error, as a share of the mean frame's, above which the stage has failed."""
 
@@ -196,9 +200,18 @@ class FastConfig(KeyCLDConfig):
         return Tried()
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return settings of schema 1, which were flat, of 2, which had two joint stages, and of 3, without terms."""
+        """Return settings of schema 1, which were flat, 2, which had two joint stages, 3, without terms, and 4.
+
+        In schema 4 patches were compared for clips alone, by settings of the preset.
+        """
         if version == 1:
             settings = {_FLAT.get(name, name): value for name, value in settings.items()}
+        weight = settings.get("rigid", 0.0)
+        patches = {"patches": (weight, weight)} | ({"patch": settings["patch"]} if "patch" in settings else {})
+        settings = {name: value for name, value in settings.items() if name not in ("rigid", "patch")}
+        settings["vision"] = {**settings.get("vision", {}), **patches}
+        if version == 4:
+            return settings
         gone = ("given", "long", "joint_steps", "joint_horizons", "long_steps", "long_horizons")
         kept = {name: value for name, value in settings.items() if name not in gone}
         if version == 3:

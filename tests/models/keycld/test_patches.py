@@ -1,4 +1,4 @@
-"""The loss of a clip fixes keypoints to the parts that they follow."""
+"""What patches share fixes keypoints to the parts that they follow."""
 
 import equinox as eqx
 import jax
@@ -8,8 +8,8 @@ import pytest
 
 from keycld.data import Trajectories, resident
 from keycld.models import Scene, config_for
+from keycld.models.keycld.patches import shared_patches
 from keycld.models.keycld.prepare import measure_background
-from keycld.models.keycld.rigid_loss import _shared
 
 SIZE = 32
 PENDULUM = 'keypoints = ["ball"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "ball"\npoint = "unknown"\n'
@@ -48,7 +48,7 @@ def seen():
     model = config.build(Scene(SIZE, SIZE, 0, 24, 0.04, 1), jax.random.key(0))
     model, _ = measure_background(model, data)
     frames = jnp.asarray(image[0] / 255.0, jnp.float32)
-    shared = eqx.filter_jit(lambda keypoints: _shared(model, keypoints[:, None], frames, 0.1))
+    shared = eqx.filter_jit(lambda keypoints: shared_patches(model, keypoints[:, None], frames, 0.1))
     return lambda keypoints: float(shared(jnp.asarray(keypoints, jnp.float32)))
 
 
