@@ -156,7 +156,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         constraint=first.constraint,
         coupling=first.coupling,
         joints=first.joints,
-        patches=first.patches,
+        # Parts that look different in each recording share nothing.
+        patches=(0.0, 0.0) if config.looks else first.patches,
         patch=first.patch,
         steps=float(first.steps),
         sigma=first.sigma,

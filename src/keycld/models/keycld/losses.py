@@ -54,10 +54,10 @@ class VisionLoss(AbstractLoss):
             which no constraint acts. Nothing else says where on its part a free keypoint is, and forces act between
             centres: no central force explained two keypoints that were each a pixel off theirs, to opposite sides
             (`results/priors-keycld.md`). Near the end it would only add the noise of the pixels.
-        patches: w_s at t = 0.35 and for t ≥ 0.7, linear between. Before, it grows linearly from zero at t = 0.1: it would
-            keep keypoints that have not found their parts yet on the part that stands out most. Along a rod of one
-            colour all patches are alike, and those nearer to its pivot most: the last value is zero where motions in
-            all directions tell the joint more exactly by its constant distances.
+        patches: w_s at t = 0.35 and for t ≥ 0.7, linear between. Before, it grows linearly from zero at t = 0.1:
+            it would keep keypoints that have not found their parts yet on the part that stands out most. Along a rod of
+            one colour all patches are alike, and those nearer to its pivot most, so the last value is zero: in long
+            motions constant distances tell the joint more exactly.
         patch: width of these patches, image-plane units.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
