@@ -21,6 +21,7 @@ from keycld.data import Resident
 from keycld.drawing import Curve, curves_figure, save_figure
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 from keycld.models import Scene, config_for
+from keycld.models.keycld.model import KeyCLD
 from keycld.stages import muon, warmup_cosine
 from keycld.training.step import initial_progress, make_step
 
@@ -81,6 +82,7 @@ def step_time(**sizes):
 def part_times():
     """Return the time of each part with its gradient, compiled alone."""
     stage, model, data = prepared(**USUAL)
+    assert isinstance(model, KeyCLD)
     keys = jax.random.split(jax.random.key(2))
     sample = jax.jit(functools.partial(stage.sampler, data))
     clips = sample(keys[0], jnp.array(0))

@@ -70,7 +70,7 @@ def _settings_table(presets: dict[str, ModelConfig]) -> str:
     return _table(["setting", *(f"`{preset}`" for preset in presets), "meaning"], cells)
 
 
-def _settings(config: object, prefix: str = "") -> list[tuple[str, str, str]]:
+def _settings(config: typing.Any, prefix: str = "") -> list[tuple[str, str, str]]:
     """Return name, value and meaning of the settings that are flags of `keycld train`."""
     kinds, meanings, found = typing.get_type_hints(type(config), include_extras=True), _meanings(type(config)), []
     for field in dataclasses.fields(config):
@@ -89,10 +89,12 @@ def _meanings(kind: type) -> dict[str, str]:
     found = {}
     for base in reversed(kind.__mro__):
         if dataclasses.is_dataclass(base):
-            body = ast.parse(inspect.getsource(base).lstrip()).body[0].body
-            for field, text in zip(body, body[1:], strict=False):
-                if isinstance(field, ast.AnnAssign) and isinstance(text, ast.Expr):
-                    found[field.target.id] = " ".join(text.value.value.split())
+            [definition] = ast.parse(inspect.getsource(base).lstrip()).body
+            assert isinstance(definition, ast.ClassDef)
+            for field, text in zip(definition.body, definition.body[1:], strict=False):
+                match field, text:
+                    case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(words))):
+                        found[name] = " ".join(words.split())
     return found
 
 

@@ -16,6 +16,7 @@ import os
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -93,7 +94,7 @@ def held_a_second(result):
     `successes` asks for the last second of the run instead.
     """
     last = max(1, round(HOLD / result.scores["dt"]))
-    whole = np.lib.stride_tricks.sliding_window_view(result.arrays["good"], last, axis=1).all(axis=-1)
+    whole = np.asarray(np.lib.stride_tricks.sliding_window_view(result.arrays["good"], last, axis=1).all(axis=-1))
     held = whole.any(axis=1)
     # good[k] belongs to the state after frame k.
     first = (whole.argmax(axis=1)[held] + 1) * result.scores["dt"]
@@ -176,7 +177,7 @@ def main():
     model, config = load_run(run_folder(options.run))
     system = get(config.system)
     path, weights = options.out / f"{options.name}.json", weights_hash(model)
-    kept = read_json(path) or {}
+    kept = read_json(path, dict[str, Any]) or {}
     if kept.get("weights") not in (None, weights):
         aside = path.rename(aside_of(path, kept["weights"]))
         print(f"{path} was of other weights: moved to {aside}; all experiments run again", file=sys.stderr)

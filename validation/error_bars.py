@@ -26,6 +26,7 @@ from keycld._compile_cache import use_compile_cache
 from keycld.evaluation import constants_of
 from keycld.mechanics import (
     RK4,
+    AbstractPotentialTerm,
     ConstrainedLagrangian,
     CoupledMasses,
     MechanicalDynamics,
@@ -109,7 +110,7 @@ def drawn(mechanism, rng):
 
 def law_of(mechanism, masses, weight, friction, springs=None):
     """Return a law with weights V = w·x and the same viscous rate for all keypoints."""
-    terms = {} if springs is None else {"springs": Springs(jnp.array([[springs]]))}
+    terms: dict[str, AbstractPotentialTerm] = {} if springs is None else {"springs": Springs(jnp.array([[springs]]))}
     viscous = ViscousFriction(jnp.diag(friction * jnp.asarray(masses)))
     return ConstrainedLagrangian(
         PointMasses(jnp.sqrt(jnp.asarray(masses))),
@@ -142,7 +143,7 @@ def measured(mechanism, seed):
     path = simulated(law, constants, place(), dt, seconds * fps)
     seen = path + noise * rng.standard_normal(path.shape)
     began = time.monotonic()
-    start = Motion(seen[None, 0], np.zeros((1, seen.shape[1])))
+    start = Motion(jnp.asarray(seen[None, 0]), jnp.zeros((1, seen.shape[1])))
     guess = guessed(mechanism, law, rng)
     nothing = np.zeros((1, 0))
     found = estimate(guess, free_leaves(guess), seen[None, : 10 * fps], nothing, dt, initial=start)

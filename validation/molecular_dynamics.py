@@ -14,6 +14,7 @@ import ctypes
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ import numpy as np
 
 from keycld.systems import get
 from keycld.systems.molecular import simulation as molecular
+from keycld.systems.molecular.lennard_jones import AbstractLennardJones
 
 TENTH = molecular.Lengths(1e3, 1e3, 2.5e3)
 WINDOWS, FRAMES, TOGETHER = 100, 4, 8
@@ -37,7 +39,7 @@ def ours(system, seeds):
     return moved.reshape(*moved.shape[:3], 2, system.particles, 2), time.process_time() - before
 
 
-def observables(moved, box):
+def observables(moved, box) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
     """Return the means of U/N, T, P, and g(r) of each simulation, and the conserved energy [S, W]."""
     seeds, windows, frames, _, n, _ = moved.shape
     with jax.enable_x64(True):
@@ -99,7 +101,7 @@ class Lammps:
     """One LAMMPS simulation of the same system."""
 
     def __init__(self, system, seed):
-        import lammps
+        import lammps  # pyright: ignore[reportMissingImports]  no dependency of the project
 
         self.n, self.box = system.particles, system.box
         self.lmp = lammps.lammps(cmdargs=["-log", "none", "-screen", "none"])
@@ -178,7 +180,8 @@ def lammps_protocol(system, seed):
         places.append(lmp.places())
         values.append([lmp.value("pe") / lmp.n, lmp.value("temp"), lmp.value("press")])
     lmp.close()
-    means = dict(zip(("potential_energy", "temperature", "pressure"), np.mean(values, axis=0), strict=True))
+    names = ("potential_energy", "temperature", "pressure")
+    means: dict[str, float] = dict(zip(names, np.mean(values, axis=0).tolist(), strict=True))
     return means, radial(np.stack(places).transpose(2, 1, 0), lmp.box, 1)
 
 
@@ -196,6 +199,7 @@ def compared(one, other):
 
 def measure(name, seeds, lammps_seeds):
     system = get(name)
+    assert isinstance(system, AbstractLennardJones)
     moved, seconds = ours(system, seeds)
     means, rdf, conserved = observables(moved, system.box)
     result = {
@@ -233,7 +237,7 @@ def main():
     parser.add_argument("--out", type=Path, default=Path("results/datasets/molecular-dynamics.json"))
     options = parser.parse_args()
     command = f"python validation/molecular_dynamics.py --seeds {options.seeds} --lammps-seeds {options.lammps_seeds}"
-    result = {"command": command}
+    result: dict[str, Any] = {"command": command}
     for name in options.sets:
         result[name] = measure(name, options.seeds, options.lammps_seeds)
         print(json.dumps({name: result[name]}, indent=1), flush=True)

@@ -21,7 +21,7 @@ from keycld.benchmarks.published_priors import PRIORS_TITLES
 from keycld.data import make_data, open_data
 from keycld.evaluation import evaluate, protocol_named, references
 from keycld.models import config_for
-from keycld.systems import get
+from keycld.systems import AbstractSampledSystem, get
 from keycld.training.runs import make_scene
 from keycld.training.step import initial_progress, make_step
 
@@ -34,7 +34,9 @@ def made(system: str, root: Path):
     folder = root / system
     # A file has at least 71 molecules' trajectories; the others are as few as the rest needs.
     few = {"train": 142, "test": 70} if system.startswith("md/") else {"train": 20, "test": 2}
-    known = get(system).counts["default"]
+    sampled = get(system)
+    assert isinstance(sampled, AbstractSampledSystem)
+    known = sampled.counts["default"]
     runs = {**few, **({"test_long": 2} if "test_long" in known else {})}
     make_data(system, folder, store="images", runs=runs, frames=dict.fromkeys(runs, FRAMES))
     return open_data(folder)

@@ -31,7 +31,7 @@ def train(devices: int, steps: int, process: int, processes: int, port: int) -> 
     import numpy as np
     from jax.sharding import Mesh
 
-    from keycld.data import Resident
+    from keycld.data import Resident, Windows
     from keycld.models import Scene, config_for
     from keycld.training.devices import Devices
     from keycld.training.step import initial_progress, make_step
@@ -45,6 +45,7 @@ def train(devices: int, steps: int, process: int, processes: int, port: int) -> 
     image = np.random.default_rng(0).integers(0, 256, (TRAJECTORIES, FRAMES, SIZE, SIZE, 3), np.uint8)
     data = Resident(jnp.asarray(image), jnp.zeros((TRAJECTORIES, 0)), jnp.array(0.05))
     (stage,) = config.stages(scene)
+    assert isinstance(stage.sampler, Windows)
     progress, rest = initial_progress(stage, config.build(scene, jax.random.key(0)))
     run = make_step(stage, 0, 0, 1, shared)
     fixed, progress = shared.everywhere((rest, data)), shared.everywhere(progress)

@@ -8,6 +8,7 @@ import argparse
 import json
 import time
 from pathlib import Path
+from typing import Any
 
 from keycld.data.describe.normalised_error import trivial_scores
 from keycld.drawing import enlarge, save_image, sheet
@@ -42,13 +43,20 @@ COUNT, FRAMES, EVERY = 2000, 256, 8
 TEST = 2_100_000
 
 
+def sampled(name):
+    """Return the set of that name."""
+    system = get(name)
+    assert isinstance(system, AbstractSampledSystem), f"{name} is not a set of the suite"
+    return system
+
+
 def record(name, numbers):
-    return get(name).record(numbers, FRAMES, get(name).protocols[0], "default")
+    return sampled(name).record(numbers, FRAMES, sampled(name).protocols[0], "default")
 
 
 def measure(name):
     """Return CPU milliseconds of a trajectory, without compilation, and the scores of the mean picture."""
-    system = get(name)
+    system = sampled(name)
     record(name, range(5_000_000, 5_000_000 + COUNT))
     before = time.process_time()
     train = record(name, range(COUNT))
@@ -83,9 +91,9 @@ def picture(name):
     every = {"room": 22, "md": 16}.get(name.split("/")[0], 6)
     short = Recording(recording.time, recording.state[:, : 12 * every], recording.parameters)
     if name.startswith("room"):
-        [(_, pictures)] = run_in_processes([Task(get(name).pictures, (short,))])
+        [(_, pictures)] = run_in_processes([Task(sampled(name).pictures, (short,))])
     else:
-        pictures = get(name).pictures(short)
+        pictures = sampled(name).pictures(short)
     save_image(
         Path("docs/media") / f"suite-{name.replace('/', '-')}.png",
         sheet([enlarge(image, 2) for image in pictures.image], every=every, gap=2),
@@ -102,7 +110,9 @@ def main():
             picture(name)
         return
     path = Path("results/datasets/suite.json")
-    result = json.loads(path.read_text()) if path.exists() else {"command": "python validation/suite.py measure"}
+    result: dict[str, Any] = {"command": "python validation/suite.py measure"}
+    if path.exists():
+        result = json.loads(path.read_text())
     for name in options.sets or names(AbstractInitialValueSystem):
         result[name] = measure(name)
         print(name, json.dumps(result[name]), flush=True)
