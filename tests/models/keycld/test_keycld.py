@@ -322,11 +322,21 @@ def test_the_weights_of_constraints_grow_with_the_steps(item, weights, getkey):
     # Keypoints that differ between pictures; otherwise the term would be smaller than rounding errors.
     model = eqx.tree_at(lambda m: m.estimator.network.out.kernel, model, replace_fn=lambda kernel: 100 * kernel)
     clip = clips(getkey(), 3, [0], 1)
-    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, steps=100.0))
+    loss = eqx.filter_jit(VisionLoss(constraint=(100.0, 1000.0), coupling=1.0, patches=(0.0, 0.0), steps=100.0))
     for step, weight in zip((0, 25, 100, 200), weights, strict=True):
         total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
         rest = total - terms["reconstruction"] - terms["heat_map"]
         assert float(rest / terms["constraint"]) == pytest.approx(weight, rel=0.02), terms
+
+
+def test_patches_count_after_the_keypoints_have_found_their_parts_and_before_their_constraints_are_exact(getkey):
+    model = fast(Constraints(("a", "b"), ()), width=8).build(SCENE, jax.random.key(0))
+    clip = clips(getkey(), 3, [0], 1)
+    loss = eqx.filter_jit(VisionLoss(patches=(2.0, 0.5), steps=100.0))
+    for step, weight in ((0, 0.0), (10, 0.0), (35, 2.0), (70, 0.5), (200, 0.5)):
+        total, terms = loss(model, clip, key=getkey(), step=jnp.array(step))
+        rest = total - terms["reconstruction"] - terms["heat_map"]
+        assert float(rest) == pytest.approx(weight * float(terms["patches"]), abs=1e-3), step
 
 
 def test_constraints_between_keypoints_move_the_joint_first(getkey):
@@ -334,7 +344,7 @@ def test_constraints_between_keypoints_move_the_joint_first(getkey):
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "end"))
     model = fast(Constraints(("elbow", "end"), items), width=8).build(SCENE, jax.random.key(0))
     clip = clips(getkey(), 3, [0], 1)
-    loss = VisionLoss(joints=0.85, steps=100.0)
+    loss = VisionLoss(joints=0.85, patches=(0.0, 0.0), steps=100.0)
 
     @eqx.filter_jit
     @eqx.filter_grad
