@@ -33,6 +33,12 @@ def test_the_system_says_that_its_recordings_differ():
     assert config_for("fc", "fast").completed(get("toy/double_pendulum")).looks is None
 
 
+def test_parts_that_look_different_share_no_patches():
+    for name, weights in (("toy/double_pendulum", (0.0, 0.0)), ("toy/pendulum", (2.0, 0.0))):
+        vision = config_for("keycld", "fast").completed(get(name)).stages(SCENE)[0]
+        assert vision.loss.patches == vision.alternative.patches == weights, name
+
+
 def test_a_prediction_keeps_the_mean_look_of_the_given_frames(getkey):
     model = model_with_looks()
     frames = jax.random.uniform(getkey(), (3, 16, 16, 3))
