@@ -42,8 +42,8 @@ def training(run: Run) -> str:
         note += f" It began again with other initial weights: {html.text(' '.join(run.failures))}"
     chart = html.figure(
         html.chart(figure, "training"),
-        "Loss terms and scores; a hairline is the first step of a stage. Each stage has a loss of its own, and its "
-        "predictions may become longer, so that a rise alone is no failure.",
+        "Loss terms and scores; a hairline is the first step of a stage. Each stage has a loss of its own. The weights "
+        "of its terms change with the steps, and its predictions become longer, so that a rise alone is no failure.",
     )
     return html.section("training", "Training", html.paragraph(note) + chart)
 
