@@ -25,7 +25,8 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     """Keypoint estimator, dynamics of keypoints, renderer (arXiv v1, sections 2 and 3).
 
     The state holds positions and velocities of the keypoints in image-plane units, and what is constant along this
-    trajectory: the values of Φ and, where recordings differ in it, the looks of the parts.
+    trajectory: the values of Φ and, where recordings differ in them, the looks of the parts and the law's own
+    parameters (`own_parameters`).
 
     Attributes:
         estimator: frame → keypoints, eq. (8).
@@ -109,19 +110,25 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         observed = jax.vmap(self.observe)(frames)
-        state = self.state_of(observed.keypoints, dt, u)
-        if observed.looks is None:
-            return state
-        return State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})
+        looks = None if observed.looks is None else jnp.mean(observed.looks, axis=0)
+        state = self.state_of(observed.keypoints, dt, u, looks)
+        return state if looks is None else State(state.coordinates, {**state.parameters, "looks": looks})
 
-    def state_of(self, keypoints: Float[Array, "n K 2"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
-        """Estimate the state from keypoints that were observed in consecutive frames, without looks.
+    def state_of(
+        self,
+        keypoints: Float[Array, "n K 2"],
+        dt: Float[Array, ""],
+        u: Float[Array, "..."],
+        looks: Float[Array, "K D"] | None = None,
+    ) -> State:
+        """Estimate the state from keypoints that were observed in consecutive frames; looks tell own parameters.
 
         Raises:
             KeycldError: the inputs do not have the sizes of the training data.
         """
         check_inputs(u, self.inputs)
-        state, covariance = self.initial_state.smooth(self.dynamics, keypoints.reshape(len(keypoints), -1), dt, u)
+        x = keypoints.reshape(len(keypoints), -1)
+        state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u, looks)
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)
