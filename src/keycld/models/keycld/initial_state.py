@@ -59,11 +59,11 @@ class AbstractInitialState(eqx.Module):
         x: Float[Array, "n dim"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        looks: Float[Array, "K D"] | None = None,
+        light: Float[Array, "K 3"] | None = None,
     ) -> tuple[State, Float[Array, "size size"] | None]:
         """Return the state at frame `anchor` from n ≥ `given` frames, and the covariance of its (x, v) if it is known.
 
-        By default only the first `given` frames are used. Looks, the means over the frames, tell own parameters.
+        By default only the first `given` frames are used. The light of the parts tells own parameters.
         """
         return self(dynamics, x[: self.given], dt, u), None
 
@@ -130,7 +130,7 @@ class FittedInitialState(AbstractInitialState):
         x: Float[Array, "n dim"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        looks: Float[Array, "K D"] | None = None,
+        light: Float[Array, "K 3"] | None = None,
     ) -> tuple[State, Float[Array, "size size"] | None]:
         """Return the state at frame 0 from all frames; the covariance is None for two frames."""
         law, (count, dim) = _lagrangian(dynamics), x.shape

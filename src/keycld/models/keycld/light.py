@@ -117,7 +117,7 @@ def _initial_state(config: "FastConfig") -> AbstractInitialState:
     shared = placeholder[:0] if config.model == "keycld-nc" else config.phi(placeholder)
     error = jnp.full(config.keypoints, KeyCLDConfig.ADDED["initial_state.error"])
     if config.own_parameters:
-        return OwnInitialState(OwnPrior.unknown(config.keypoints, config.looks or 0, shared.shape[0]), error)
+        return OwnInitialState(OwnPrior.unknown(config.keypoints, shared.shape[0]), error)
     return FittedInitialState(shared if config.shared_constants else None, error)
 
 

@@ -17,6 +17,7 @@ from keycld.mechanics import (
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
 from keycld.models.checks import check_inputs, check_size
 from keycld.models.keycld.initial_state import AbstractInitialState
+from keycld.models.keycld.own_initial_state import OwnInitialState, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
 from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
 
@@ -110,25 +111,29 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         observed = jax.vmap(self.observe)(frames)
-        looks = None if observed.looks is None else jnp.mean(observed.looks, axis=0)
-        state = self.state_of(observed.keypoints, dt, u, looks)
-        return state if looks is None else State(state.coordinates, {**state.parameters, "looks": looks})
+        light = None
+        if isinstance(self.initial_state, OwnInitialState):
+            light = light_of(frames, self.renderer.background, observed.keypoints)
+        state = self.state_of(observed.keypoints, dt, u, light)
+        if observed.looks is None:
+            return state
+        return State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})
 
     def state_of(
         self,
         keypoints: Float[Array, "n K 2"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        looks: Float[Array, "K D"] | None = None,
+        light: Float[Array, "K 3"] | None = None,
     ) -> State:
-        """Estimate the state from keypoints that were observed in consecutive frames; looks tell own parameters.
+        """Estimate the state from keypoints that were observed in consecutive frames; light tells own parameters.
 
         Raises:
             KeycldError: the inputs do not have the sizes of the training data.
         """
         check_inputs(u, self.inputs)
         x = keypoints.reshape(len(keypoints), -1)
-        state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u, looks)
+        state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u, light)
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)

@@ -18,13 +18,14 @@ from keycld.mechanics import (
     own_parameters,
 )
 from keycld.models.keycld.initial_state import AbstractInitialState
+from keycld.vision import image_grid
 
 # ν of Student's t: the tails of observation errors.
 _TAIL = 4
 # Levenberg–Marquardt steps from each first guess of the place, and how many deviations the guesses are from the mean.
 _STEPS, _AWAY = 25, 1.5
-# Functions of the looks, next to linear ones.
-_CENTRES = 48
+# Radial functions of the light, next to linear ones, and s of its shares.
+_CENTRES, _REACH = 48, 0.1
 # Least deviation of an own number, so that the prior of one that does not differ stays regular.
 _LEAST = 1e-3
 _WIDTHS, _RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
@@ -33,19 +34,19 @@ _WIDTHS, _RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 class OwnPrior(eqx.Module):
     """The normal prior of a trajectory's own parameters ζ = (p, log μ, log φ), given what its given frames show.
 
-        p ~ N(a + A x̄, Σ_p),    (log μ, log φ) ~ N(B b(looks), Σ_f),    Φ ~ N(c, diag σ_c²)
+        p ~ N(a + A x̄, Σ_p),    (log μ, log φ) ~ N(B b(l), Σ_f),    Φ ~ N(c, diag σ_c²)
 
-    x̄ is the mean of the given keypoints. b(looks) holds 1, the looks, and radial functions exp(−|l − l_j|²/2w²) of
-    them. All of it is measured on training recordings whose ζ the whole motion tells (`measured`), not trained. So a
-    parameter that can be seen, such as a mass that makes a disc larger, has a narrow prior; one that does not differ
-    keeps a deviation of nothing.
+    x̄ is the mean of the given keypoints, l the light of the parts (`light_of`): b(l) holds 1, l, and radial functions
+    exp(−|l − l_j|²/2w²). All of it is measured on training recordings whose ζ the whole motion tells (`measured`), not
+    trained. So a parameter that can be seen, such as a mass that makes a disc larger, has a narrow prior; one that does
+    not differ keeps a deviation of nothing.
 
     Attributes:
         shift: a [2].
         turn: A [2, 2].
         place_root: a root of Σ_p [2, 2].
-        looks_mean: mean of the looks [F].
-        looks_scale: deviation of the looks [F].
+        light_mean: mean of the light [F], F = 3K.
+        light_scale: its deviation [F].
         centres: l_j [C, F], in units of that deviation.
         width: w.
         factors: B [K + 1, 1 + F + C].
@@ -57,8 +58,8 @@ class OwnPrior(eqx.Module):
     shift: Float[Array, "2"]
     turn: Float[Array, "2 2"]
     place_root: Float[Array, "2 2"]
-    looks_mean: Float[Array, "F"]
-    looks_scale: Float[Array, "F"]
+    light_mean: Float[Array, "F"]
+    light_scale: Float[Array, "F"]
     centres: Float[Array, "C F"]
     width: Float[Array, ""]
     factors: Float[Array, "L B"]
@@ -67,15 +68,15 @@ class OwnPrior(eqx.Module):
     spread: Float[Array, "n"]
 
     @classmethod
-    def unknown(cls, keypoints: int, looks: int, constants: int) -> "OwnPrior":
+    def unknown(cls, keypoints: int, constants: int) -> "OwnPrior":
         """Return a wide prior, before it is measured."""
-        size = keypoints * looks
+        size = 3 * keypoints
         return cls(
             shift=jnp.zeros(2),
             turn=jnp.eye(2),
             place_root=0.3 * jnp.eye(2),
-            looks_mean=jnp.zeros(size),
-            looks_scale=jnp.ones(size),
+            light_mean=jnp.zeros(size),
+            light_scale=jnp.ones(size),
             centres=jnp.zeros((_CENTRES, size)),
             width=jnp.ones(()),
             factors=jnp.zeros((keypoints + 1, 1 + size + _CENTRES)),
@@ -85,16 +86,16 @@ class OwnPrior(eqx.Module):
         )
 
     def __call__(
-        self, x: Float[Array, "n dim"], looks: Float[Array, "K D"] | None
+        self, x: Float[Array, "n dim"], light: Float[Array, "K 3"] | None
     ) -> tuple[Float[Array, "S"], Float[Array, "S S"]]:
         """Return mean of ζ and a root of its covariance.
 
         Args:
             x: keypoints of the given frames.
-            looks: of the parts, mean over these frames; None: unknown.
+            light: of the parts, mean over these frames; None: unknown.
         """
-        seen = self.looks_mean if looks is None else looks.reshape(-1)
-        values = _functions((seen - self.looks_mean) / self.looks_scale, self.centres, self.width)
+        seen = self.light_mean if light is None else light.reshape(-1)
+        values = _functions((seen - self.light_mean) / self.light_scale, self.centres, self.width)
         place = self.shift + jnp.sum(self.turn * jnp.mean(x.reshape(-1, 2), axis=0)[None], axis=1)
         factors = jnp.sum(self.factors * values[None], axis=1)
         return jnp.concatenate([place, factors]), jax.scipy.linalg.block_diag(self.place_root, self.factor_root)
@@ -104,7 +105,7 @@ class OwnPrior(eqx.Module):
         cls,
         own: Float[np.ndarray, "N S"],
         x: Float[np.ndarray, "N n dim"],
-        looks: Float[np.ndarray, "N F"],
+        light: Float[np.ndarray, "N F"],
         constants: Float[np.ndarray, "N n"],
     ) -> "OwnPrior":
         """Return the prior that recordings show.
@@ -114,13 +115,13 @@ class OwnPrior(eqx.Module):
         Args:
             own: ζ of each recording.
             x: keypoints of a few consecutive frames of each.
-            looks: mean looks in these frames; F may be 0.
+            light: mean light in these frames.
             constants: values of Φ of each.
         """
         middle = np.concatenate([np.ones((len(x), 1)), x.reshape(len(x), -1, 2).mean(axis=1)], axis=1)
         affine = np.linalg.lstsq(middle, own[:, :2], rcond=None)[0]
-        mean, scale = looks.mean(axis=0), looks.std(axis=0) + 1e-6
-        seen = (looks - mean) / scale
+        mean, scale = light.mean(axis=0), light.std(axis=0) + 1e-6
+        seen = (light - mean) / scale
         centres = seen[_apart(seen, _CENTRES)]
         best: tuple[float, Any] = (np.inf, None)
         for width in _WIDTHS:
@@ -183,7 +184,7 @@ class OwnInitialState(AbstractInitialState):
     def __call__(
         self, dynamics: AbstractDynamics, x: Float[Array, "given dim"], dt: Float[Array, ""], u: Float[Array, "..."]
     ) -> State:
-        """Return the state at frame 0, for unknown looks."""
+        """Return the state at frame 0, for unknown light."""
         return self.smooth(dynamics, x, dt, u)[0]
 
     def smooth(
@@ -192,12 +193,12 @@ class OwnInitialState(AbstractInitialState):
         x: Float[Array, "n dim"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        looks: Float[Array, "K D"] | None = None,
+        light: Float[Array, "K 3"] | None = None,
     ) -> tuple[State, None]:
         """Return the state at frame 0 from all frames."""
         assert isinstance(dynamics, MechanicalDynamics) and isinstance(dynamics.law, ConstrainedLagrangian)
         (count, dim), law = x.shape, dynamics.law
-        expected, root = self.prior(x, looks)
+        expected, root = self.prior(x, light)
         clock, inputs = dt * (count - 1) / 2, u if u.ndim == 1 else u[: count - 1]
 
         def state(z: Array) -> State:
@@ -246,6 +247,28 @@ class OwnInitialState(AbstractInitialState):
         places = _AWAY * jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         ends, costs = jax.vmap(search)(places)
         return state(ends[jnp.argmin(costs)]), None
+
+
+def light_of(
+    frames: Float[Array, "n H W 3"], background: Float[Array, "H W 3"], keypoints: Float[Array, "n K 2"]
+) -> Float[Array, "K 3"]:
+    """Return the light that each part adds to the background in each channel, a sum over pixels, mean over frames.
+
+        l_k = mean_t Σ_p w_tpk (z_tp − z̄_p) / HW · 100,    w_tpk ∝ exp(−|x_p − x_tk|²/2s²),  Σ_k w_tpk = 1,  s = 0.1
+
+    A sum over the pixels of a part knows its size a hundred times better than one pixel knows its value.
+
+    Args:
+        frames: z, values in [0, 1].
+        background: z̄, the mean frame of the training data.
+        keypoints: x, image-plane units.
+    """
+    height, width = background.shape[:2]
+    grid = image_grid(height, width, 1)
+    away = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
+    near = jax.nn.softmax(-away / (2 * _REACH**2), axis=-1)
+    added = frames - background[None]
+    return jnp.mean(jnp.sum(near[..., None] * added[:, :, :, None], axis=(1, 2)), axis=0) * 100 / (height * width)
 
 
 def _functions(seen: Any, centres: Any, width: Any) -> Array:

@@ -29,7 +29,7 @@ from keycld.mechanics import (
 from keycld.models.keycld.identify import Tracks, Tried, identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
-from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
+from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
@@ -216,23 +216,23 @@ def measure_own_prior(model: Any, data: Resident) -> tuple[Any, Resident]:
 
     Recordings that no motion of the law follows are left out.
     """
-    rows, _, _ = _chosen(data, FITTED)
+    rows, begin, _ = _chosen(data, FITTED)
     x, u = observed_keypoints(model, data, FITTED)
     fitted = refit(model.dynamics, _tracks(model, x, u, data.dt, None))
     own, x = np.asarray(fitted.own, float), np.asarray(x)
     followed = _followed(fitted)
-    looks = [_mean_looks(model, data.image[i][:_SEEN]) for i in rows]
+    light = [_light(model, data.image[i][k : k + _SEEN]) for i, k in zip(rows, begin, strict=True)]
     constants = jax.vmap(lambda x, place: jnp.mean(jax.vmap(model.constraint)(moved(x, place)), axis=0))(
         jnp.asarray(x), jnp.asarray(own[:, :2], jnp.float32)
     )
     prior = OwnPrior.measured(
-        own[followed], x[followed, :_SEEN], np.stack(looks)[followed], np.asarray(constants)[followed]
+        own[followed], x[followed, :_SEEN], np.stack(light)[followed], np.asarray(constants)[followed]
     )
     spread = np.sqrt(np.diagonal(prior.factor_root @ prior.factor_root.T))
     print(
         f"own          {followed.sum()} recordings; log factors of masses and friction vary by "
         f"{np.array2string(own[followed][:, 2:].std(axis=0), precision=3)}, known to "
-        f"{np.array2string(spread, precision=3)} from the looks",
+        f"{np.array2string(spread, precision=3)} by what is seen",
         flush=True,
     )
     return eqx.tree_at(lambda m: m.initial_state.prior, model, prior), data
@@ -356,9 +356,10 @@ def _observe(model: Any, image: jax.Array) -> jax.Array:
 
 
 @eqx.filter_jit
-def _mean_looks(model: Any, image: jax.Array) -> jax.Array:
-    looks = jax.vmap(lambda frame: model.observe(frame).looks)(image.astype(jnp.float32) / 255.0)
-    return jnp.zeros(0) if looks is None else jnp.mean(looks, axis=0).reshape(-1)
+def _light(model: Any, image: jax.Array) -> jax.Array:
+    frames = image.astype(jnp.float32) / 255.0
+    keypoints = jax.vmap(lambda frame: model.observe(frame).keypoints)(frames)
+    return light_of(frames, model.renderer.background, keypoints).reshape(-1)
 
 
 @eqx.filter_jit

@@ -176,8 +176,8 @@ class FastConfig(KeyCLDConfig):
         at_least_one(self.joint, "batch", "fit_every")
         if self.own_parameters and (self.model != "keycld" or not self.OWN):
             raise KeycldError(
-                f"own_parameters are learned by the model keycld with the preset fast, not by {self.model} with another "
-                "law or preset: leave the setting out, or choose these."
+                "own_parameters are learned by the model keycld with the preset fast alone: leave the setting out, or "
+                "choose these."
             )
 
     def completed(self, source: Any = None) -> "ModelConfig":
@@ -186,9 +186,9 @@ class FastConfig(KeyCLDConfig):
         assert isinstance(config, FastConfig)
         if config.looks is None and source is not None and source.looks_differ and self.model != "fc":
             config = dataclasses.replace(config, looks=_LOOKS)
-        if config.own_parameters is None and source is not None and source.parameters_differ:
-            if self.model == "keycld" and self.OWN:
-                config = dataclasses.replace(config, own_parameters=True)
+        own = self.model == "keycld" and self.OWN and source is not None and source.parameters_differ
+        if config.own_parameters is None and own:
+            config = dataclasses.replace(config, own_parameters=True)
         return config
 
     def settings(self) -> dict[str, Any]:
