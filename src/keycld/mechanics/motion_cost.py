@@ -64,6 +64,7 @@ class MotionCost:
 
     def unexpected(self, z: Array, expected: Array) -> Float[Array, ""]:
         """Return ½ (ζ − ζ̄)ᵀ Λ (ζ − ζ̄)."""
+        assert self.precision is not None
         off = z[2 * self.dim :] - expected
         return 0.5 * jnp.sum(off * jnp.matmul(self.precision, off, precision="highest"))
 

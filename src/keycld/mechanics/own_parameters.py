@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from keycld.mechanics.circle import nearest_circle
-from keycld.mechanics.constraints import AbstractConstraint
+from keycld.mechanics.constraints import AbstractConstraint, Constraints
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.mechanics.masses import AbstractMassMatrix
 from keycld.mechanics.relations.distance_to_point import DistanceToPoint
@@ -61,7 +61,9 @@ def own_law(law: Any, parameters: dict[str, Any] | None) -> Any:
         mass=_OwnMasses(law.mass, jnp.sqrt(parameters["masses"])),
         potential=_Elsewhere(law.potential, place),
         input_matrix=None if law.input_matrix is None else _Elsewhere(law.input_matrix, place),
-        constraint=_ConstraintElsewhere(law.constraint_function, place),
+        constraint=_ConstraintElsewhere(
+            dimension=law.constraint_function.dimension, constraint=law.constraint_function, place=place
+        ),
         dissipation=None if law.dissipation is None else _Friction(law.dissipation, place, parameters["friction"]),
     )
 
@@ -74,7 +76,7 @@ def rough_places(law: ConstrainedLagrangian, observed: Float[Array, "N T dim"]) 
     """
     points = observed.reshape(*observed.shape[:2], -1, 2)
     phi = law.constraint_function
-    for item in getattr(phi, "items", ()):
+    for item in phi.items if isinstance(phi, Constraints) else ():
         if isinstance(item, DistanceToPoint) and isinstance(item.point, tuple):
             of_keypoint = points[:, :, phi.keypoints.index(item.keypoint)]
             return jax.vmap(lambda own: nearest_circle(own)[0])(of_keypoint) - jnp.array(item.point)[None]
@@ -110,12 +112,9 @@ class _Friction(eqx.Module):
 class _ConstraintElsewhere(AbstractConstraint):
     """Φ around another place."""
 
+    dimension: int = eqx.field(static=True)
     constraint: AbstractConstraint
     place: Float[Array, "2"]
-
-    @property
-    def dimension(self) -> int:
-        return self.constraint.dimension
 
     @property
     def count(self) -> int:

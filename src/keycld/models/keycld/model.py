@@ -19,7 +19,7 @@ from keycld.models.checks import check_inputs, check_size
 from keycld.models.keycld.initial_state import AbstractInitialState
 from keycld.models.keycld.own_initial_state import OwnInitialState, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
-from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
+from keycld.vision import AbstractEstimator, AbstractRenderer, Observation, Renderer
 
 
 class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
@@ -113,6 +113,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         observed = jax.vmap(self.observe)(frames)
         light = None
         if isinstance(self.initial_state, OwnInitialState):
+            assert isinstance(self.renderer, Renderer) and self.renderer.background is not None
             light = light_of(frames, self.renderer.background, observed.keypoints)
         state = self.state_of(observed.keypoints, dt, u, light)
         if observed.looks is None:

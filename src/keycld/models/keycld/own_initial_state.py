@@ -106,7 +106,7 @@ class OwnPrior(eqx.Module):
         own: Float[np.ndarray, "N S"],
         x: Float[np.ndarray, "N n dim"],
         light: Float[np.ndarray, "N F"],
-        constants: Float[np.ndarray, "N n"],
+        constants: Float[np.ndarray, "N c"],
     ) -> "OwnPrior":
         """Return the prior that recordings show.
 
