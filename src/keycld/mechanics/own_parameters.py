@@ -76,9 +76,11 @@ def rough_places(law: ConstrainedLagrangian, observed: Float[Array, "N T dim"]) 
     """
     points = observed.reshape(*observed.shape[:2], -1, 2)
     phi = law.constraint_function
-    for item in phi.items if isinstance(phi, Constraints) else ():
+    relations = phi.items if isinstance(phi, Constraints) else ()
+    names = phi.keypoints if isinstance(phi, Constraints) else ()
+    for item in relations:
         if isinstance(item, DistanceToPoint) and isinstance(item.point, tuple):
-            of_keypoint = points[:, :, phi.keypoints.index(item.keypoint)]
+            of_keypoint = points[:, :, names.index(item.keypoint)]
             return jax.vmap(lambda own: nearest_circle(own)[0])(of_keypoint) - jnp.array(item.point)[None]
     return jnp.mean(points, axis=(1, 2))
 
