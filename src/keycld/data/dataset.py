@@ -183,6 +183,11 @@ class DataSet:
         return self.system in names() and get(self.system).looks_differ
 
     @property
+    def parameters_differ(self) -> bool:
+        """Whether masses, places or lengths differ from recording to recording, as far as the system says."""
+        return self.system in names() and get(self.system).parameters_differ
+
+    @property
     def keypoints(self) -> tuple[str, ...]:
         """Names of the keypoints, in the order of the constraints file or of the system; () if there are none."""
         found = self.constraints

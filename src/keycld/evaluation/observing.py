@@ -79,7 +79,7 @@ def probed_system(data: "DataSet", shared: References, split: str) -> AbstractSy
     if any(data.split(name, images=False, rows=slice(0, 1)).state is None for name in ("validation", split)):
         return None
     system = get(data.system)
-    return system if system.keypoints else None
+    return system if system.keypoints and not system.parameters_differ else None
 
 
 def score_states(

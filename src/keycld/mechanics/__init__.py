@@ -80,6 +80,11 @@ from keycld.mechanics.networks import AffineMLPInputMatrix as AffineMLPInputMatr
 from keycld.mechanics.networks import MLPInputMatrix as MLPInputMatrix
 from keycld.mechanics.networks import MLPPotential as MLPPotential
 from keycld.mechanics.networks import Perceptron as Perceptron
+from keycld.mechanics.own_parameters import Own as Own
+from keycld.mechanics.own_parameters import moved as moved
+from keycld.mechanics.own_parameters import own_law as own_law
+from keycld.mechanics.own_parameters import own_parameters as own_parameters
+from keycld.mechanics.own_parameters import rough_places as rough_places
 from keycld.mechanics.phase_space import FirstOrderDynamics as FirstOrderDynamics
 from keycld.mechanics.phase_space import HamiltonianDynamics as HamiltonianDynamics
 from keycld.mechanics.rattle import Rattle as Rattle
@@ -124,10 +129,10 @@ __all__ = [
     "AbstractTerm",
     "AdaptiveDynamics",
     "AffineMLPInputMatrix",
+    "Candidate",
     "Composition",
     "ConstrainedLagrangian",
     "Constraints",
-    "Candidate",
     "CoupledMasses",
     "Derived",
     "DistanceToPoint",
@@ -153,6 +158,7 @@ __all__ = [
     "MechanicalDynamics",
     "Motion",
     "OnLine",
+    "Own",
     "Perceptron",
     "PerceptronPotential",
     "PhasePoint",
@@ -192,7 +198,10 @@ __all__ = [
     "load_constraints",
     "mechanisms",
     "momentum",
+    "moved",
     "nearest_circle",
+    "own_law",
+    "own_parameters",
     "parse_constraints",
     "physical_constants",
     "predict_fan",
@@ -203,6 +212,7 @@ __all__ = [
     "regress_forces",
     "rest_pose",
     "rigid_body",
+    "rough_places",
     "rough_states",
     "solve_definite",
     "solve_positive",

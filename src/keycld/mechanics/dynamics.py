@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics.integrators import AbstractIntegrator
 from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian
+from keycld.mechanics.own_parameters import own_law
 from keycld.mechanics.state import AbstractDynamics, Motion, Scalar, State
 
 
@@ -49,11 +50,11 @@ class MechanicalDynamics(AbstractMechanicalDynamics):
 
     def step(self, state: State, u: Float[Array, "l"], dt: Scalar) -> State:
         """Return the state one frame later (earlier for negative dt)."""
-        return self.integrator.step(self.law, state, u, dt)
+        return self.integrator.step(own_law(self.law, state.parameters), state, u, dt)
 
     def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
         """Return the motion at `steps` + 1 frames; see `AbstractMechanicalDynamics.rollout`."""
-        return self.integrator.rollout(self.law, state, u, dt, steps)
+        return self.integrator.rollout(own_law(self.law, state.parameters), state, u, dt, steps)
 
 
 def joining_velocity(

@@ -14,6 +14,7 @@ from keycld._errors import KeycldError
 from keycld.mechanics.dynamics import MechanicalDynamics
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.mechanics.motion_cost import MotionCost, motion_cost
+from keycld.mechanics.own_parameters import Own
 from keycld.mechanics.state import Motion, Scalar
 
 # Bounds of the damping, and the least curvature of a direction, as a share of the largest.
@@ -33,6 +34,7 @@ class Fitted(NamedTuple):
             component.
         cost: the sum that was minimised.
         curvature: second derivatives of the least cost by θ, initial states eliminated, at the last step but one.
+        own: fitted own parameters of each motion; None where there are none.
     """
 
     dynamics: MechanicalDynamics
@@ -41,6 +43,7 @@ class Fitted(NamedTuple):
     errors: Float[Array, "N"]
     cost: Float[Array, ""]
     curvature: Float[Array, "P P"]
+    own: Float[Array, "N S"] | None = None
 
     @property
     def rms(self) -> Float[Array, ""]:
@@ -59,6 +62,7 @@ def fit_motions(
     active: PyTree | None = None,
     constants: Float[Array, "n"] | None = None,
     initial: Motion | None = None,
+    own: Own | None = None,
     searches: int | Int[Array, ""] = 3,
     iterations: int | Int[Array, ""] = 30,
     scale: float = 0.05,
@@ -76,6 +80,8 @@ def fit_motions(
     initial states are eliminated motion by motion (Schur complement), so the cost is linear
     in N. From a rough guess, fit growing parts of the trajectories, one call each.
 
+    Where motions have own parameters ζᵢ, these are further numbers of zᵢ, with a normal prior.
+
     Derivatives are those of `MotionCost.quadratic`. Where numbers of the constraints are free, such as an unknown
     pivot, Φ depends on θ: its constants are the means over the observations for each θ.
 
@@ -91,6 +97,7 @@ def fit_motions(
         constants: values of Φ that all motions share; None: for each motion the mean over its observations. Where
             numbers of Φ are free, only whether constants are shared counts: they are the means over all observations.
         initial: initial states to begin with, `[N, dim]` each; None: `rough_states`.
+        own: first guess and prior of the own parameters of each motion; None: they have none.
         searches: steps of the initial states alone before the others.
         iterations: the most steps of initial states and θ together. It ends after three in a row that gain less than a
             thousandth of the cost each, and by their quadratic model could gain no more: from a good guess after 4.
@@ -101,39 +108,48 @@ def fit_motions(
         The dynamics with the fitted parameters, the initial states, the fitted paths, and their errors.
 
     Raises:
-        KeycldError: for another kind of law.
+        KeycldError: for another kind of law, or motions with own parameters and shared constants.
     """
     law, (count, _, dim) = dynamics.law, observed.shape
     if not isinstance(law, ConstrainedLagrangian):
         raise KeycldError(f"motions are fitted through a ConstrainedLagrangian, not a {type(law).__name__}.")
-    cost, theta = motion_cost(dynamics, free, observed, dt, frames, scale, shared=constants is not None)
+    if own is not None and constants is not None:
+        raise KeycldError("motions with own parameters have own constants of the constraints: give no shared ones.")
+    precision = None if own is None else own.precision
+    cost, theta = motion_cost(
+        dynamics, free, observed, dt, frames, scale, shared=constants is not None, precision=precision
+    )
     chosen = jnp.ones_like(theta) if active is None else ravel_pytree(eqx.filter(active, free))[0]
     if constants is None:
         constants = jax.vmap(lambda x: jnp.mean(jax.vmap(law.constraint)(x), axis=0))(observed)
     else:
         constants = jnp.broadcast_to(constants[None, :], (count, constants.shape[0]))
     start = rough_states(observed, dt) if initial is None else initial
-    z = jnp.concatenate([start.x, cost.clock * start.v], axis=1)
+    z = jnp.concatenate([start.x, cost.clock * start.v, *([] if own is None else [own.numbers])], axis=1)
     curvature = jnp.zeros((theta.size, theta.size))
     none = jnp.asarray(0)
     damping, least = jnp.asarray(1e-2), jnp.asarray(jnp.inf)
+    motions = (observed, constants, u, *([] if own is None else [own.expected]))
     begin = _Search(z, jnp.full(count, 1e-2), theta, damping, least, curvature, observed, none, none)
 
     def unfinished(now: _Search) -> Array:
         return (now.stalls < _STALLS) & (now.taken < searches + iterations)
 
     def improve(now: _Search) -> _Search:
-        return _improved(now, cost, chosen, now.taken < searches, (observed, constants, u), min(chunk, count))
+        return _improved(now, cost, chosen, now.taken < searches, motions, min(chunk, count))
 
     end = jax.lax.while_loop(unfinished, improve, begin)
     theta, off = end.theta, end.paths - observed
-    first = jax.vmap(lambda z, x, held: cost.projected(z, theta, cost.constants(theta, x, held)))(
+    first = jax.vmap(lambda z, x, held: cost.projected(z, theta, cost.constants(z, theta, x, held)))(
         end.z, observed, constants
     )
     squares = jax.vmap(lambda error: jnp.sum(cost.counted(error) ** 2))(off)
     errors = jnp.sqrt(squares / (jnp.sum(cost.counts) * dim))
-    total = jnp.sum(jax.vmap(cost)(off))
-    return Fitted(cost.dynamics(theta), Motion(first[:, :dim], first[:, dim:]), end.paths, errors, total, end.curvature)
+    total, fitted_own = jnp.sum(jax.vmap(cost)(off)), None
+    if own is not None:
+        total, fitted_own = total + jnp.sum(jax.vmap(cost.unexpected)(end.z, own.expected)), end.z[:, 2 * dim :]
+    initial = Motion(first[:, :dim], first[:, dim:])
+    return Fitted(cost.dynamics(theta), initial, end.paths, errors, total, end.curvature, fitted_own)
 
 
 class _Search(NamedTuple):
@@ -163,7 +179,7 @@ class _Search(NamedTuple):
 
 
 def _improved(
-    now: _Search, cost: MotionCost, chosen: Array, searching: Array, motions: tuple[Array, Array, Array], chunk: int
+    now: _Search, cost: MotionCost, chosen: Array, searching: Array, motions: tuple[Array, ...], chunk: int
 ) -> _Search:
     """Take one step.
 
@@ -172,7 +188,7 @@ def _improved(
         cost: what is minimised.
         chosen: 1 for each number of θ that is fitted.
         searching: whether initial states alone move, and every step counts as a gain.
-        motions: observations, constants and inputs of all motions.
+        motions: observations, constants and inputs of all motions, and what is expected of own parameters.
         chunk: motions at a time.
     """
     theta, size = now.theta, now.z.shape[1]
@@ -180,7 +196,7 @@ def _improved(
     def each(function: Callable[..., Any], *arrays: Array) -> Any:
         return jax.lax.map(lambda args: function(*args), arrays, batch_size=chunk)
 
-    matrix, slope, old, paths = each(lambda z, x, held, push: cost.quadratic(z, theta, x, held, push), now.z, *motions)
+    matrix, slope, old, paths = each(lambda z, *motion: cost.quadratic(z, theta, *motion), now.z, *motions)
     inner = _damped(matrix[:, :size, :size], jnp.minimum(now.dampings, now.damping))
     mixed = matrix[:, :size, size:]
     by_theta = jnp.linalg.solve(inner, mixed)
@@ -193,10 +209,12 @@ def _improved(
     new_theta = theta - change
     new_z = now.z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
 
-    def price(both: Array, x: Array, held: Array, push: Array) -> tuple[Array, Array]:
-        own = cost.constants(new_theta, x, held)
-        paths = jax.vmap(lambda z: cost.path(z, new_theta, own, push).x)(both)
-        return jax.vmap(lambda path: cost(path - x))(paths), paths
+    def price(both: Array, x: Array, held: Array, push: Array, *expected: Array) -> tuple[Array, Array]:
+        paths = jax.vmap(lambda z: cost.path(z, new_theta, cost.constants(z, new_theta, x, held), push).x)(both)
+        prices = jax.vmap(lambda path: cost(path - x))(paths)
+        for own in expected:
+            prices = prices + jax.vmap(cost.unexpected, (0, None))(both, own)
+        return prices, paths
 
     prices, new_paths = each(price, jnp.stack([now.z, new_z], axis=1), *motions)
     moved = prices[:, 1] < prices[:, 0]

@@ -12,6 +12,7 @@ from jaxtyping import Array, Float, Int, PyTree
 
 from keycld.mechanics.dynamics import MechanicalDynamics
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
+from keycld.mechanics.own_parameters import own_law, own_parameters
 from keycld.mechanics.state import Motion, Scalar, State
 
 
@@ -22,7 +23,8 @@ class MotionCost:
         c(z, θ) = Σₜₖ ρ(xₖ(t; z, θ) − observedₜₖ),    ρ(e) = s²(√(1 + (e/s)²) − 1)
 
     z = (x₀, v₀ · clock) need not keep the constraints: it is projected on them. With clock, half of the time of a
-    motion, velocities weigh like positions.
+    motion, velocities weigh like positions. Where motions have own parameters ζ (`own_parameters`), z ends with them,
+    and c has the further term ½ (ζ − ζ̄)ᵀ Λ (ζ − ζ̄).
 
     Attributes:
         unravel: gives the free leaves of the dynamics from θ.
@@ -34,6 +36,7 @@ class MotionCost:
         dt: seconds between frames.
         scale: s, image-plane units; errors above it count linearly.
         dim: coordinates of a position.
+        precision: Λ [S, S]; None: there are no own parameters.
     """
 
     unravel: Callable[[Array], PyTree]
@@ -44,6 +47,7 @@ class MotionCost:
     dt: Scalar
     scale: float
     dim: int
+    precision: Float[Array, "S S"] | None = None
 
     @property
     def clock(self) -> Scalar:
@@ -54,23 +58,33 @@ class MotionCost:
         """Return the dynamics with the parameters θ."""
         return eqx.combine(self.unravel(theta), self.rest)
 
-    def constants(self, theta: Array, x: Array, given: Array) -> Array:
-        """Return the constants of a motion with the observations x: the given ones unless Φ depends on θ."""
-        if not self.geometry.size:
+    def own(self, z: Array) -> dict[str, Array]:
+        """Return the own parameters in z as entries of a state's parameters; none where motions have none."""
+        return {} if self.precision is None else own_parameters(z[2 * self.dim :])
+
+    def unexpected(self, z: Array, expected: Array) -> Float[Array, ""]:
+        """Return ½ (ζ − ζ̄)ᵀ Λ (ζ − ζ̄)."""
+        assert self.precision is not None
+        off = z[2 * self.dim :] - expected
+        return 0.5 * jnp.sum(off * jnp.matmul(self.precision, off, precision="highest"))
+
+    def constants(self, z: Array, theta: Array, x: Array, given: Array) -> Array:
+        """Return the constants of a motion with the observations x: the given ones unless Φ depends on θ or ζ."""
+        if not self.geometry.size and self.precision is None:
             return given
         among = x if self.among is None else self.among
-        return jnp.mean(jax.vmap(self._law(theta).constraint)(among), axis=0)
+        return jnp.mean(jax.vmap(own_law(self._law(theta), self.own(z)).constraint)(among), axis=0)
 
     def projected(self, z: Array, theta: Array, constants: Array) -> Array:
         """Return the state (x₀, v₀) on the constraints."""
-        law = self._law(theta)
+        law = own_law(self._law(theta), self.own(z))
         x = law.project_position(z[: self.dim], constants)
-        return jnp.concatenate([x, law.project_velocity(x, z[self.dim :] / self.clock)])
+        return jnp.concatenate([x, law.project_velocity(x, z[self.dim : 2 * self.dim] / self.clock)])
 
     def path(self, z: Array, theta: Array, constants: Array, u: Array) -> Motion:
         """Return the motion from z."""
         first, steps = self.projected(z, theta, constants), len(self.counts) - 1
-        state = State(Motion(first[: self.dim], first[self.dim :]), {"constants": constants})
+        state = State(Motion(first[: self.dim], first[self.dim :]), {"constants": constants, **self.own(z)})
         return self.dynamics(theta).rollout(state, u if u.ndim == 1 else u[:steps], self.dt, steps)
 
     def counted(self, values: Array) -> Array:
@@ -84,14 +98,14 @@ class MotionCost:
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
     def quadratic(
-        self, z: Array, theta: Array, x: Array, given: Array, u: Array
+        self, z: Array, theta: Array, x: Array, given: Array, u: Array, expected: Array | None = None
     ) -> tuple[Float[Array, "S S"], Float[Array, "S"], Float[Array, ""], Float[Array, "T dim"]]:
         """Compute matrix, slope and value of the quadratic model of the cost in (z, θ), and the path.
 
         Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B
         takes the derivative of the acceleration at the two frames as linear between them: an error of (ω dt)², which
         slows the convergence a little and leaves the paths exact, for a fifth of the time. For numbers of the
-        constraints B is exact.
+        constraints and own parameters B is exact.
 
         Args:
             z: initial state.
@@ -99,9 +113,10 @@ class MotionCost:
             x: observations of the motion `[T, dim]`.
             given: constants of Φ, used where Φ does not depend on θ.
             u: inputs, constant `[l]` or one a frame `[T, l]`.
+            expected: ζ̄, where motions have own parameters.
         """
-        length, dim, size = len(self.counts), self.dim, 2 * self.dim
-        constants = self.constants(theta, x, given)
+        length, dim, size, moving = len(self.counts), self.dim, len(z), 2 * self.dim
+        constants = self.constants(z, theta, x, given)
         path = self.path(z, theta, constants, u)
         states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
         inputs = jnp.broadcast_to(u[None], (length, u.shape[0])) if u.ndim == 1 else u
@@ -109,24 +124,24 @@ class MotionCost:
         def shaped(numbers: Array) -> tuple[Array, Array]:
             """Return θ with these numbers of the constraints, and the constants."""
             changed = theta.at[self.geometry].set(numbers)
-            return changed, self.constants(changed, x, given)
+            return changed, self.constants(z, changed, x, given)
 
-        def step(state: Array, u: Array, theta: Array = theta, constants: Array = constants) -> Array:
-            now = State(Motion(state[:dim], state[dim:]), {"constants": constants})
+        def step(state: Array, u: Array, theta: Array = theta, constants: Array = constants, z: Array = z) -> Array:
+            now = State(Motion(state[:dim], state[dim:]), {"constants": constants, **self.own(z)})
             return jnp.concatenate(self.dynamics(theta).step(now, u, self.dt).coordinates)
 
         def accelerate(theta: Array, state: Array, u: Array) -> Array:
-            return self.dynamics(theta).law.acceleration(state[:dim], state[dim:], u)
+            return own_law(self.dynamics(theta).law, self.own(z)).acceleration(state[:dim], state[dim:], u)
 
         transitions = jax.vmap(jax.jacfwd(step))(states[:-1], inputs[:-1])
         first = jax.jacfwd(self.projected)(z, theta, constants)
-        first = jnp.concatenate([first, jnp.zeros((size, theta.size))], axis=1)
+        first = jnp.concatenate([first, jnp.zeros((moving, theta.size))], axis=1)
         slopes = jnp.zeros((length, dim, 0))
         if theta.size:
             slopes = jax.vmap(lambda state, u: jax.jacrev(accelerate)(theta, state, u))(states, inputs)
         here, then = slopes[:-1], slopes[1:]
         pushes = jnp.concatenate([self.dt**2 / 6 * (2 * here + then), self.dt / 2 * (here + then)], axis=1)
-        pushes = jnp.concatenate([jnp.zeros((length - 1, size, size)), pushes], axis=2)
+        pushes = jnp.concatenate([jnp.zeros((length - 1, moving, size)), pushes], axis=2)
         if self.geometry.size:
             numbers, columns = theta[self.geometry], size + self.geometry
             first = first.at[:, columns].set(jax.jacfwd(lambda numbers: self.projected(z, *shaped(numbers)))(numbers))
@@ -134,6 +149,24 @@ class MotionCost:
                 lambda numbers: jax.vmap(lambda s, u: step(s, u, *shaped(numbers)))(states[:-1], inputs[:-1])
             )
             pushes = pushes.at[:, :, columns].set(exact(numbers))
+
+        if self.precision is not None:
+
+            def changed(own: Array) -> tuple[Array, Array]:
+                """Return z with these own parameters, and the constants."""
+                other = jnp.concatenate([z[:moving], own])
+                return other, self.constants(other, theta, x, given)
+
+            def first_of(own: Array) -> Array:
+                other, held = changed(own)
+                return self.projected(other, theta, held)
+
+            def steps_of(own: Array) -> Array:
+                other, held = changed(own)
+                return jax.vmap(lambda s, u: step(s, u, theta, held, other))(states[:-1], inputs[:-1])
+
+            first = first.at[:, moving:size].set(jax.jacfwd(first_of)(z[moving:]))
+            pushes = pushes.at[:, :, moving:size].set(jax.jacfwd(steps_of)(z[moving:]))
 
         def pass_frame(slope: Array, matrices: tuple[Array, Array]) -> tuple[Array, Array]:
             slope = jnp.matmul(matrices[0], slope, precision="highest") + matrices[1]
@@ -144,10 +177,15 @@ class MotionCost:
         error = self.counted(error)
         pull = slopes * jax.lax.rsqrt(1 + (error / self.scale) ** 2).reshape(-1, 1)
         matrix = jnp.matmul(pull.T, slopes, precision="highest")
-        slope = jnp.matmul(pull.T, error.reshape(-1), precision="highest")
+        slope, value = jnp.matmul(pull.T, error.reshape(-1), precision="highest"), self(error)
+        if self.precision is not None:
+            assert expected is not None
+            matrix = matrix.at[moving:size, moving:size].add(self.precision)
+            slope = slope.at[moving:size].add(jnp.matmul(self.precision, z[moving:] - expected, precision="highest"))
+            value = value + self.unexpected(z, expected)
         # A motion whose derivatives overflow keeps its state, and θ does not hear of it.
         sound = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(slope))
-        return jnp.where(sound, matrix, 0.0), jnp.where(sound, slope, 0.0), self(error), path.x
+        return jnp.where(sound, matrix, 0.0), jnp.where(sound, slope, 0.0), value, path.x
 
     def _law(self, theta: Array) -> ConstrainedLagrangian:
         law = self.dynamics(theta).law
@@ -164,6 +202,7 @@ def motion_cost(
     scale: float,
     *,
     shared: bool,
+    precision: Float[Array, "S S"] | None = None,
 ) -> tuple[MotionCost, Float[Array, "P"]]:
     """Return the cost of motions, and θ of the given dynamics.
 
@@ -175,6 +214,7 @@ def motion_cost(
         frames: how many of the first frames count; None: all.
         scale: s of the cost.
         shared: whether all motions have the same constants of Φ.
+        precision: Λ of their own parameters; None: they have none.
     """
     _, length, dim = observed.shape
     parameters, rest = eqx.partition(dynamics, free)
@@ -186,4 +226,4 @@ def motion_cost(
     geometry = np.flatnonzero(np.concatenate([np.zeros(0, bool), *of_constraints]))
     counts = (jnp.arange(length) < (length if frames is None else frames)).astype(observed.dtype)
     among = observed.reshape(-1, dim) if shared else None
-    return MotionCost(unravel, rest, geometry, among, counts, dt, scale, dim), theta
+    return MotionCost(unravel, rest, geometry, among, counts, dt, scale, dim, precision), theta

@@ -11,7 +11,7 @@ from jax.core import Tracer
 from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
-from keycld.mechanics import AbstractDynamics, ConstrainedLagrangian, State
+from keycld.mechanics import AbstractDynamics, ConstrainedLagrangian, State, own_law
 from keycld.vision import Observation
 
 
@@ -221,20 +221,21 @@ class HasLagrangian(HasEnergies, HasConstraints, HasInputMatrix):
 
     def kinetic_energy(self, state: State) -> Float[Array, ""]:
         """Return T = ½ vᵀMv."""
-        return self.law.kinetic_energy(*state.coordinates)
+        return own_law(self.law, state.parameters).kinetic_energy(*state.coordinates)
 
     def potential_energy(self, state: State) -> Float[Array, ""]:
         """Return V(x)."""
-        return self.law.potential_energy(state.coordinates.x)
+        return own_law(self.law, state.parameters).potential_energy(state.coordinates.x)
 
     def constraint_deviation(self, state: State) -> Float[Array, "n"]:
         """Return Φ(x) − constants."""
-        return self.law.constraint(state.coordinates.x, state.parameters) - state.parameters["constants"]
+        law = own_law(self.law, state.parameters)
+        return law.constraint(state.coordinates.x, state.parameters) - state.parameters["constants"]
 
     def input_matrix(self, state: State) -> Float[Array, "dim l"]:
         """Return g(x)."""
-        x = state.coordinates.x
-        return jnp.zeros((x.shape[0], 0)) if self.law.input_matrix is None else self.law.input_matrix(x)
+        x, matrix = state.coordinates.x, own_law(self.law, state.parameters).input_matrix
+        return jnp.zeros((x.shape[0], 0)) if matrix is None else matrix(x)
 
 
 CAPABILITIES = {

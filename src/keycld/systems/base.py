@@ -113,6 +113,7 @@ class AbstractSystem(abc.ABC):
         input_names: one for each input; empty where nothing drives the system.
         keypoints: names of the suggested keypoints; empty where the system suggests none.
         looks_differ: whether the parts look different from recording to recording, for example in colour.
+        parameters_differ: whether masses, places or lengths differ from recording to recording.
     """
 
     name: ClassVar[str]
@@ -123,6 +124,7 @@ class AbstractSystem(abc.ABC):
     input_names: ClassVar[tuple[str, ...]] = ()
     keypoints: ClassVar[tuple[str, ...]] = ()
     looks_differ: ClassVar[bool] = False
+    parameters_differ: ClassVar[bool] = False
 
     @property
     def constraints(self) -> "keycld.mechanics.Constraints | None":

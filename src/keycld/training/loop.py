@@ -361,7 +361,8 @@ def _clips(stage: Stage, data: Resident) -> tuple[bool, int]:
     Cached values belong to the trajectories that are resident at the first step, so these stay for the whole stage.
     """
     clips = eqx.filter_eval_shape(stage.sampler, data, jax.random.key(0), jax.numpy.array(0))
-    return clips.frames is None, 0 if clips.frames is None else int(np.prod(clips.frames.shape[:2]))
+    pinned = clips.frames is None or getattr(stage.sampler, "cached", False)
+    return pinned, 0 if clips.frames is None else int(np.prod(clips.frames.shape[:2]))
 
 
 def _moved(old: Resident, new: Resident) -> Resident:

@@ -11,7 +11,7 @@ class Clip(eqx.Module):
     """Frames of one trajectory in order, gaps allowed; a sampler gives a batch of them, stacked.
 
     Attributes:
-        frames: values in [0, 1], or None if the clip holds cached values instead.
+        frames: values in [0, 1], or None if the clip holds cached values instead of them.
         cached: the cached values of the frames, or None.
         index: frame numbers, counted from the first frame of the clip's window.
         u: the input, `[l]` constant or `[span, l]` from the first frame of the window on.
@@ -35,6 +35,7 @@ def gather(
     span: int,
     *,
     frames: bool = True,
+    cached: bool = False,
 ) -> Clip:
     """Collect a batch of clips.
 
@@ -45,13 +46,14 @@ def gather(
         index: the frames of the window to take.
         span: frames of the longest window.
         frames: False gives cached values instead of pictures.
+        cached: True gives cached values with pictures too, if there are any.
     """
     rows, columns = trajectory[:, None], first[:, None] + index
     held = jnp.minimum(first[:, None] + jnp.arange(span)[None, :], data.image.shape[1] - 1)
     u = data.u[trajectory] if data.u.ndim == 2 else data.u[rows, held]
     return Clip(
         frames=data.image[rows, columns].astype(jnp.float32) / 255.0 if frames else None,
-        cached=None if frames or data.cached is None else data.cached[rows, columns],
+        cached=data.cached[rows, columns] if (cached or not frames) and data.cached is not None else None,
         index=index,
         u=u,
         dt=jnp.broadcast_to(data.dt, trajectory.shape),

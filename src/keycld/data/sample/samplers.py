@@ -43,10 +43,13 @@ class RandomFrames(AbstractSampler):
     Attributes:
         batch: clips a step. Good values: 16 to 64.
         together: frames of a clip, from anywhere in one trajectory.
+        cached: give also the values that the stage has cached, which are not finite for frames without any: only
+            trajectories with some, and only such frames, are sampled.
     """
 
     batch: int = eqx.field(static=True)
     together: int = eqx.field(static=True, default=1)
+    cached: bool = eqx.field(static=True, default=False)
 
     def span(self) -> int:
         """Return 1."""
@@ -58,7 +61,14 @@ class RandomFrames(AbstractSampler):
         count, length = data.image.shape[:2]
         trajectory = jax.random.randint(key_trajectory, (self.batch,), 0, count)
         frame = jax.random.randint(key_frame, (self.batch, self.together), 0, length)
-        return gather(data, trajectory, jnp.zeros(self.batch, int), frame, length)
+        if self.cached and data.cached is not None:
+            there = jnp.isfinite(data.cached[:, :, 0])
+            some = jnp.any(there, axis=1)
+            trajectory = jax.random.choice(key_trajectory, count, (self.batch,), p=some / jnp.sum(some))
+            # The frames with the largest random numbers are a sample without repetition.
+            lot = jax.random.uniform(key_frame, (self.batch, length)) + there[trajectory]
+            frame = jnp.argsort(-lot, axis=1)[:, : self.together]
+        return gather(data, trajectory, jnp.zeros(self.batch, int), frame, length, cached=self.cached)
 
 
 class FrameGroups(AbstractSampler):

@@ -15,8 +15,9 @@ from keycld.mechanics import (
     ConstrainedLagrangian,
     Fitted,
     MechanicalDynamics,
-    Motion,
+    Own,
     fit_motions,
+    moved,
     regress_forces,
     rough_states,
     term_kinds,
@@ -52,6 +53,7 @@ class Tracks:
         constants: values of Φ that all recordings share; None: each recording has its own.
         located: whether unknown numbers of the constraints stay where the positions alone put them; otherwise they are
             fitted with the dynamics.
+        own: first guess and prior of the parameters that differ by recording; None: there are none.
     """
 
     x: jax.Array
@@ -59,10 +61,14 @@ class Tracks:
     dt: jax.Array
     constants: jax.Array | None
     located: bool = False
+    own: Own | None = None
 
     def __getitem__(self, recordings: slice) -> "Tracks":
         """Return some of the recordings."""
-        return dataclasses.replace(self, x=self.x[recordings], u=self.u[recordings])
+        own = self.own
+        if own is not None:
+            own = own._replace(numbers=own.numbers[recordings], expected=own.expected[recordings])
+        return dataclasses.replace(self, x=self.x[recordings], u=self.u[recordings], own=own)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -130,10 +136,10 @@ def identify(
     best = _identified(dynamics, (), tracks)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     everything = _with_everything(best, tracks, some, tried.kinds, good=_GOOD * pixel)
-    left, worth = _selected(everything, tracks.dt, tried) if _sound(everything) else (best.dynamics, {})
+    left, worth = _selected(everything, tracks[some], tried) if _sound(everything) else (best.dynamics, {})
     kept = tuple(sorted(terms_of(_lagrangian(left))))
     if kept:
-        near = _fitted(left, tracks[some], everything.initial)
+        near = _fitted(left, tracks[some], everything)
         selected = _climb(near.dynamics, tracks)
         if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
@@ -142,7 +148,7 @@ def identify(
             best = selected
     if best.rms > _GOOD * pixel and tried.kinds is None:
         grown = with_kinds(_lagrangian(best.dynamics), (_LAST_RESORT,), key=jax.random.key(0))
-        more = _fitted(_with_law(best.dynamics, grown), tracks, best.initial)
+        more = _fitted(_with_law(best.dynamics, grown), tracks, best)
         worth[_LAST_RESORT] = float((best.cost - more.cost) / more.cost)
         if more.rms < _LESS * best.rms:
             best = more
@@ -152,7 +158,8 @@ def identify(
 def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
     """Fit an affine V with terms of these kinds, from nothing."""
     law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
-    return _climb(_with_law(dynamics, regress_forces(law, free_leaves(law), tracks.x, tracks.u, tracks.dt)), tracks)
+    x = tracks.x if tracks.own is None else jax.vmap(moved)(tracks.x, tracks.own.numbers[:, :2])
+    return _climb(_with_law(dynamics, regress_forces(law, free_leaves(law), x, tracks.u, tracks.dt)), tracks)
 
 
 def _with_everything(
@@ -163,8 +170,8 @@ def _with_everything(
     if affine.rms > good:
         return _identified(affine.dynamics, kinds, tracks[some])
     law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
-    initial = Motion(*(part[some] for part in affine.initial))
-    return _fitted(_with_law(affine.dynamics, law), tracks[some], initial)
+    begin = jax.tree.map(lambda part: part[some], (affine.initial, affine.own))
+    return _fitted(_with_law(affine.dynamics, law), tracks[some], affine._replace(initial=begin[0], own=begin[1]))
 
 
 def _kinds(tried: tuple[str, ...] | None) -> tuple[str, ...]:
@@ -174,11 +181,11 @@ def _kinds(tried: tuple[str, ...] | None) -> tuple[str, ...]:
 
 def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> Fitted:
     """Fit a quarter, half and the whole of the recordings, each from the result of the last."""
-    length, initial = tracks.x.shape[1], rough_states(tracks.x, tracks.dt)
+    length, fitted = tracks.x.shape[1], None
     for frames, iterations in ((length // 4, 8), (length // 2, 8)):
-        fitted = _fitted(dynamics, tracks, initial, frames, iterations, active)
-        dynamics, initial = fitted.dynamics, fitted.initial
-    return _fitted(dynamics, tracks, initial, active=active)
+        fitted = _fitted(dynamics, tracks, fitted, frames, iterations, active)
+        dynamics = fitted.dynamics
+    return _fitted(dynamics, tracks, fitted, active=active)
 
 
 def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> Fitted:
@@ -206,10 +213,10 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
             return simpler
     if tried is None or not _sound(fitted):
         return fitted
-    left = _selected(fitted, tracks.dt, tried)[0]
+    left = _selected(fitted, tracks, tried)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
         return fitted
-    return _fitted(left, tracks, fitted.initial)
+    return _fitted(left, tracks, fitted)
 
 
 def follow(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
@@ -232,7 +239,7 @@ def evidence(
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     alone = _identified(dynamics, (), tracks)
     everything = _with_everything(alone, tracks, some, tried.kinds, good=_GOOD * pixel)
-    return _selected(everything, tracks.dt, tried)[1] if _sound(everything) else {}
+    return _selected(everything, tracks[some], tried)[1] if _sound(everything) else {}
 
 
 def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
@@ -250,13 +257,16 @@ def ahead(dynamics: MechanicalDynamics, tracks: Tracks, given: int) -> jax.Array
 def _fitted(
     dynamics: MechanicalDynamics,
     tracks: Tracks,
-    initial: Motion | None = None,
+    begin: Fitted | None = None,
     frames: int | None = None,
     iterations: int = 30,
     active: Any = None,
 ) -> Fitted:
     if active is None:
         active = _active(dynamics, tracks.located)
+    own = tracks.own
+    if own is not None and begin is not None and begin.own is not None:
+        own = own._replace(numbers=begin.own)
     return _fit(
         dynamics,
         free_leaves(dynamics),
@@ -265,7 +275,8 @@ def _fitted(
         tracks.dt,
         active=active,
         constants=tracks.constants,
-        initial=rough_states(tracks.x, tracks.dt) if initial is None else initial,
+        initial=rough_states(tracks.x, tracks.dt) if begin is None else begin.initial,
+        own=own,
         frames=jnp.array(tracks.x.shape[1] if frames is None else frames),
         iterations=jnp.array(iterations),
     )
@@ -314,12 +325,14 @@ def free_leaves(dynamics: Any) -> Any:
     return jax.tree_util.tree_map_with_path(free, dynamics)
 
 
-def _selected(fitted: Fitted, dt: jax.Array, tried: Tried) -> tuple[MechanicalDynamics, dict[str, float]]:
+def _selected(fitted: Fitted, tracks: Tracks, tried: Tried) -> tuple[MechanicalDynamics, dict[str, float]]:
     """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
 
     Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
     worth nothing: next to each other, two of them may have opposite signs, unless `tried.takes`.
     """
+    fitted = _with_own_held(fitted, tracks)
+    paths = fitted.paths if fitted.own is None else jax.vmap(moved)(fitted.paths, fitted.own[:, :2])
     parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
     theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(_lagrangian(fitted.dynamics))
@@ -353,7 +366,7 @@ def _selected(fitted: Fitted, dt: jax.Array, tried: Tried) -> tuple[MechanicalDy
             rivals = linear & np.array([owner in (kept & dissipations) - {kind} for owner in owners])
             alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
             laws = [alone, flat] if tried.takes else [alone]
-            gives = any(float(_power(_lagrangian(dynamics(law)), kind, fitted.paths, dt)) <= 0 for law in laws)
+            gives = any(float(_power(_lagrangian(dynamics(law)), kind, paths, tracks.dt)) <= 0 for law in laws)
         worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
         if worth[kind] < tried.worth:
             kept.remove(kind)
@@ -362,6 +375,20 @@ def _selected(fitted: Fitted, dt: jax.Array, tried: Tried) -> tuple[MechanicalDy
     left = dynamics(flat)
     terms = {kind: term for kind, term in terms_of(_lagrangian(left)).items() if kind in kept}
     return _with_law(left, with_terms(_lagrangian(left), terms)), worth
+
+
+def _with_own_held(fitted: Fitted, tracks: Tracks) -> Fitted:
+    """Return the fit with a curvature for which factors of masses and friction follow by about a fifth only.
+
+    They would take the place of any common factor of V or R.
+    """
+    if tracks.own is None or fitted.own is None:
+        return fitted
+    stiff = 2 * WORTH * fitted.cost / (len(fitted.own) * _FOLLOW**2)
+    factors = jnp.arange(len(tracks.own.precision)) >= 2
+    own = Own(fitted.own, fitted.own, tracks.own.precision + jnp.diag(jnp.where(factors, stiff, 0.0)))
+    held = _fitted(fitted.dynamics, dataclasses.replace(tracks, own=own), fitted, iterations=0)
+    return fitted._replace(curvature=held.curvature)
 
 
 def _sound(fitted: Fitted) -> bool:

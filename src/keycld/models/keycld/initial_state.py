@@ -54,11 +54,16 @@ class AbstractInitialState(eqx.Module):
         """
 
     def smooth(
-        self, dynamics: AbstractDynamics, x: Float[Array, "n dim"], dt: Float[Array, ""], u: Float[Array, "..."]
+        self,
+        dynamics: AbstractDynamics,
+        x: Float[Array, "n dim"],
+        dt: Float[Array, ""],
+        u: Float[Array, "..."],
+        light: Float[Array, "K 3"] | None = None,
     ) -> tuple[State, Float[Array, "size size"] | None]:
         """Return the state at frame `anchor` from n ≥ `given` frames, and the covariance of its (x, v) if it is known.
 
-        By default only the first `given` frames are used.
+        By default only the first `given` frames are used. The light of the parts tells own parameters.
         """
         return self(dynamics, x[: self.given], dt, u), None
 
@@ -120,7 +125,12 @@ class FittedInitialState(AbstractInitialState):
         return State(Motion(x0, v0), parameters)
 
     def smooth(
-        self, dynamics: AbstractDynamics, x: Float[Array, "n dim"], dt: Float[Array, ""], u: Float[Array, "..."]
+        self,
+        dynamics: AbstractDynamics,
+        x: Float[Array, "n dim"],
+        dt: Float[Array, ""],
+        u: Float[Array, "..."],
+        light: Float[Array, "K 3"] | None = None,
     ) -> tuple[State, Float[Array, "size size"] | None]:
         """Return the state at frame 0 from all frames; the covariance is None for two frames."""
         law, (count, dim) = _lagrangian(dynamics), x.shape

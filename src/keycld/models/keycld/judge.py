@@ -10,11 +10,11 @@ import numpy as np
 from jaxtyping import Float
 
 from keycld.data import Resident
-from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics
+from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved
 from keycld.models.keycld.identify import Tracks, explain
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
-from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints
+from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
 
 # How many of their own errors a law may be away from the keypoints.
 _ERRORS = 5.0
@@ -82,9 +82,11 @@ def judge_dynamics(
     def errors(paths: np.ndarray) -> np.ndarray:
         return np.sqrt(np.mean((paths.reshape(seen.shape) - seen) ** 2, axis=(0, 1, 3))) / pixel
 
-    law = errors(np.asarray(explain(model.dynamics, Tracks(x, u, data.dt, model.constants)).paths))
+    fitted = explain(model.dynamics, Tracks(x, u, data.dt, model.constants, own=own_guess(model, x)))
+    law = errors(np.asarray(fitted.paths))
     straight, curved = (errors(_polynomials(seen, degree)) for degree in (1, 2))
-    own = observation_error(model.law, np.asarray(x, float)) / pixel
+    around = x if fitted.own is None else jax.vmap(moved)(x, fitted.own[:, :2])
+    own = observation_error(model.law, np.asarray(around, float)) / pixel
     most = np.maximum(np.maximum(worst * curved, _ERRORS * own), small)
     k = int(np.argmax(law / most))
     print(f"law          {law[k]:.2f} pixels from keypoint {k + 1}; up to {most[k]:.2f} passes", flush=True)
@@ -164,4 +166,9 @@ def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:
 def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
     """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
     frames = image.astype(jnp.float32) / 255.0
-    return squared_error(jax.vmap(lambda frame: model.renderer(model.observe(frame).keypoints))(frames), frames)
+
+    def rendered(frame: jax.Array) -> jax.Array:
+        observed = model.observe(frame)
+        return model.renderer(observed.keypoints, observed.looks)
+
+    return squared_error(jax.vmap(rendered)(frames), frames)

@@ -27,12 +27,14 @@ from keycld.models.base import AbstractModel
 from keycld.models.keycld.config import KeyCLDConfig
 from keycld.models.keycld.initial_state import AbstractInitialState, FittedInitialState
 from keycld.models.keycld.judge import judge_dynamics, judge_trained, judge_vision
-from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
+from keycld.models.keycld.losses import PredictionLoss, SmoothedLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
+from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
 from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
     identify_dynamics,
+    measure_own_prior,
     measure_statistics,
     measure_velocity_prior,
     name_keypoints,
@@ -100,7 +102,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         dynamics=dynamics,
         renderer=renderer,
         initial_state=_initial_state(config),
-        velocity_prior=VelocityPrior.unknown() if config.velocity_prior else None,
+        velocity_prior=VelocityPrior.unknown() if config.velocity_prior and not config.own_parameters else None,
     )
 
 
@@ -114,6 +116,8 @@ def _initial_state(config: "FastConfig") -> AbstractInitialState:
     placeholder = jnp.linspace(-0.4, 0.6, 2 * config.keypoints)
     shared = placeholder[:0] if config.model == "keycld-nc" else config.phi(placeholder)
     error = jnp.full(config.keypoints, KeyCLDConfig.ADDED["initial_state.error"])
+    if config.own_parameters:
+        return OwnInitialState(OwnPrior.unknown(config.keypoints, shared.shape[0]), error)
     return FittedInitialState(shared if config.shared_constants else None, error)
 
 
@@ -161,6 +165,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         patch=first.patch,
         steps=float(first.steps),
         sigma=first.sigma,
+        own=bool(config.own_parameters),
     )
     vision = Stage(
         name="vision",
@@ -210,6 +215,14 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         every=third.fit_every,
         refresh=fit_dynamics,
     )
+    if config.own_parameters:
+        joint = dataclasses.replace(
+            joint,
+            sampler=RandomFrames(third.batch * config.groups, 2, cached=True),
+            loss=SmoothedLoss(track=third.track, heat_map=third.heat_map, sigma=third.sigma, scale=third.scale),
+            groups=joint.groups[:2],
+            prepare=fit_dynamics,
+        )
     if config.model == "node2":
         dynamics = _gradient_stage(second, clips)
     else:
@@ -224,7 +237,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         joint,
         name="prior",
         steps=0,
-        prepare=sequence(refit, measure_velocity_prior),
+        prepare=sequence(refit, measure_own_prior if config.own_parameters else measure_velocity_prior),
         every=0,
         refresh=None,
         judge=judge,

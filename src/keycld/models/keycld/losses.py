@@ -3,6 +3,7 @@
 All of them sum over pixels and average over frames, as the released code does; arXiv v1 prints sums over frames.
 """
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
@@ -61,6 +62,8 @@ class VisionLoss(AbstractLoss):
         patch: width of these patches, image-plane units.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units.
+        own: recordings have places and lengths of their own, so that nothing is even: all w_i are zero, and all
+            keypoints are free.
     """
 
     heat_map: float = 1.0
@@ -73,6 +76,7 @@ class VisionLoss(AbstractLoss):
     patch: float = 0.06
     steps: float = 1000.0
     sigma: float = 0.05
+    own: bool = eqx.field(static=True, default=False)
 
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
@@ -93,11 +97,7 @@ class VisionLoss(AbstractLoss):
         fixed = _ends(model, x) & (done < self.joints)
         located = model.located(jax.lax.stop_gradient(x))
         uneven, couples = unevenness(located, jnp.where(fixed[None, :], jax.lax.stop_gradient(x), x))
-        looks = observed.looks
-        if looks is not None:
-            per_clip = looks.reshape(clips.frames.shape[0], -1, *looks.shape[1:])
-            looks = jnp.roll(per_clip, 1, axis=1).reshape(looks.shape)
-        rendered = jax.vmap(model.renderer)(observed.keypoints, looks)
+        rendered = jax.vmap(model.renderer)(observed.keypoints, _other_looks(observed.looks, clips.frames))
         terms = {
             "reconstruction": squared_error(rendered, frames),
             "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
@@ -106,11 +106,13 @@ class VisionLoss(AbstractLoss):
         }
         covered, found = _found(model, observed.keypoints, rendered, frames)
         free = jnp.all(_slopes(model, x) == 0, axis=(0, 1))
+        free = jnp.ones_like(free) if self.own else free
         pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(covered + jnp.mean(found))
         pull = pull - self.centre * (1 - done) * jnp.sum(jnp.where(free, found, 0.0))
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
+        weights = jnp.zeros_like(weights) if self.own else weights
         total = (
             terms["reconstruction"]
             + self.heat_map * terms["heat_map"]
@@ -212,6 +214,55 @@ class PredictionLoss(AbstractLoss):
         return total, terms
 
 
+class SmoothedLoss(AbstractLoss):
+    """Loss of single frames with fitted positions: L = L_r + w_t L_t + w_h L_h.
+
+    Fitted motions average the errors of many observed keypoints, so their positions are better than the observed ones.
+    The estimator learns them: L_t is the pseudo-Huber distance of observed keypoints from them (`TrackLoss`). L_r and
+    L_h are those of `VisionLoss`, but frames are rendered from the fitted positions, with the looks that are seen in
+    the other frame of a clip. For models whose recordings have own parameters, which two frames do not show: no
+    roll-out could begin there (`PredictionLoss`). Ours, in no paper.
+
+    Attributes:
+        track: w_t, for squared distances in image-plane units.
+        heat_map: w_h.
+        sigma: σ of the Gaussians of L_h, image-plane units.
+        scale: s of the pseudo-Huber distance, image-plane units.
+    """
+
+    track: float = 3000.0
+    heat_map: float = 1.0
+    sigma: float = 0.05
+    scale: float = 0.03
+
+    def __call__(
+        self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
+    ) -> tuple[Float[Array, ""], Terms]:
+        """Evaluate the loss; `key` and `step` are not used.
+
+        Args:
+            model: with estimator and renderer.
+            clips: frames `[B, F, H, W, 3]` in [0, 1], and fitted positions `[B, F, 2K]`.
+            key: not used.
+            step: not used.
+        """
+        assert clips.frames is not None and clips.cached is not None
+        frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
+        fitted = clips.cached.reshape(len(frames), -1, 2)
+        observed = jax.vmap(model.observe)(frames)
+        terms = {
+            "reconstruction": squared_error(
+                jax.vmap(model.renderer)(fitted, _other_looks(observed.looks, clips.frames)), frames
+            ),
+            "track": _distance(
+                observed.keypoints.reshape(1, 1, len(frames), -1), fitted.reshape(1, len(frames), -1), self.scale
+            ),
+            "heat_map": _divergence(observed, (frames.shape[1], frames.shape[2]), self.sigma),
+        }
+        total = terms["reconstruction"] + self.track * terms["track"] + self.heat_map * terms["heat_map"]
+        return total, terms
+
+
 class CollocationLoss(AbstractLoss):
     """The paper's loss: L = L_r + λ L_d, reconstruction and accelerations without integration.
 
@@ -260,6 +311,14 @@ class CollocationLoss(AbstractLoss):
             "dynamics": jnp.sum(defect**2) / (batch * count),
         }
         return terms["reconstruction"] + self.weight * terms["dynamics"], terms
+
+
+def _other_looks(looks: Array | None, frames: Array) -> Array | None:
+    """Return the looks that are seen in the other frame of each clip `[B, 2, …]`."""
+    if looks is None:
+        return None
+    per_clip = looks.reshape(frames.shape[0], -1, *looks.shape[1:])
+    return jnp.roll(per_clip, 1, axis=1).reshape(looks.shape)
 
 
 def _rolled_out(model: AbstractKeypointModel, observed: Array, clips: Clip) -> Array:

@@ -17,15 +17,17 @@ from keycld.mechanics import (
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
 from keycld.models.checks import check_inputs, check_size
 from keycld.models.keycld.initial_state import AbstractInitialState
+from keycld.models.keycld.own_initial_state import OwnInitialState, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
-from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
+from keycld.vision import AbstractEstimator, AbstractRenderer, Observation, Renderer
 
 
 class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     """Keypoint estimator, dynamics of keypoints, renderer (arXiv v1, sections 2 and 3).
 
     The state holds positions and velocities of the keypoints in image-plane units, and what is constant along this
-    trajectory: the values of Φ and, where recordings differ in it, the looks of the parts.
+    trajectory: the values of Φ and, where recordings differ in them, the looks of the parts and the law's own
+    parameters (`own_parameters`).
 
     Attributes:
         estimator: frame → keypoints, eq. (8).
@@ -109,19 +111,30 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         observed = jax.vmap(self.observe)(frames)
-        state = self.state_of(observed.keypoints, dt, u)
+        light = None
+        if isinstance(self.initial_state, OwnInitialState):
+            assert isinstance(self.renderer, Renderer) and self.renderer.background is not None
+            light = light_of(frames, self.renderer.background, observed.keypoints)
+        state = self.state_of(observed.keypoints, dt, u, light)
         if observed.looks is None:
             return state
         return State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})
 
-    def state_of(self, keypoints: Float[Array, "n K 2"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
-        """Estimate the state from keypoints that were observed in consecutive frames, without looks.
+    def state_of(
+        self,
+        keypoints: Float[Array, "n K 2"],
+        dt: Float[Array, ""],
+        u: Float[Array, "..."],
+        light: Float[Array, "K 3"] | None = None,
+    ) -> State:
+        """Estimate the state from keypoints that were observed in consecutive frames; light tells own parameters.
 
         Raises:
             KeycldError: the inputs do not have the sizes of the training data.
         """
         check_inputs(u, self.inputs)
-        state, covariance = self.initial_state.smooth(self.dynamics, keypoints.reshape(len(keypoints), -1), dt, u)
+        x = keypoints.reshape(len(keypoints), -1)
+        state, covariance = self.initial_state.smooth(self.dynamics, x, dt, u, light)
         if self.velocity_prior is None:
             return state
         assert isinstance(self.dynamics, MechanicalDynamics)

@@ -14,10 +14,22 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data import Resident
-from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State, terms_of
+from keycld.mechanics import (
+    Constraints,
+    DistanceToPoint,
+    Fitted,
+    MechanicalDynamics,
+    Motion,
+    Own,
+    State,
+    moved,
+    rough_places,
+    terms_of,
+)
 from keycld.models.keycld.identify import Tracks, Tried, identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
+from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
@@ -31,6 +43,12 @@ FITTED, COMPARED = 150, 8
 # Consecutive frames of a recording that a fit observes, at most. They tell the forces; more frames cost memory and time
 # in proportion, and tell little where nearby motions part. Of few recordings all frames are observed.
 _SPAN, _MOST = 80, 12_000
+# Deviations of places and of the logarithms of factors in a wide prior, and of an observation next to which it is wide.
+_WIDE, _EXACT = (0.3, 0.5), 1e-3
+# A motion whose error is so many times the median does not follow its recording.
+_LOST = 5.0
+# Frames that are given, as the prior of own parameters sees them.
+_SEEN = 5
 # All orders of so many keypoints are compared: 720.
 _MOST_ORDERED = 6
 
@@ -128,7 +146,7 @@ def identify_dynamics(
     x, u = observed_keypoints(model, data, FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
-    tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
+    tracks = _tracks(model, x, u, data.dt, tried)
     found = identify(model.dynamics, tracks, pixel=pixel, terms=terms, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, found.dynamics), x)
     _report(model, found.rms / pixel)
@@ -155,14 +173,15 @@ def fit_dynamics(
     x, u = observed_keypoints(model, data, trajectories)
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
-    tracks = Tracks(x, u, data.dt, model.constants, _located(model, x, tried))
+    tracks = _tracks(model, x, u, data.dt, tried)
     fitted = refit(model.dynamics, tracks, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
     if tried is not None:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
     # The median of |e| of a normal distribution is 0.67 σ.
     error = jnp.median(jnp.abs(fitted.paths - x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
-    return eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5)), data
+    model = eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5))
+    return model, data if fitted.own is None else _with_paths(data, fitted, trajectories)
 
 
 def fit_again(model: Any, data: Resident, *, tried: Tried | None = None) -> tuple[Any, Resident]:
@@ -192,6 +211,33 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = FI
     return eqx.tree_at(lambda m: m.velocity_prior, model, _velocity_prior(model, x, u, data.dt)), data
 
 
+def measure_own_prior(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Measure the prior of own parameters (`OwnPrior`) on recordings whose motion tells them.
+
+    Recordings that no motion of the law follows are left out.
+    """
+    rows, begin, _ = _chosen(data, FITTED)
+    x, u = observed_keypoints(model, data, FITTED)
+    fitted = refit(model.dynamics, _tracks(model, x, u, data.dt, None))
+    own, x = np.asarray(fitted.own, float), np.asarray(x)
+    followed = _followed(fitted)
+    light = [_light(model, data.image[i][k : k + _SEEN]) for i, k in zip(rows, begin, strict=True)]
+    constants = jax.vmap(lambda x, place: jnp.mean(jax.vmap(model.constraint)(moved(x, place)), axis=0))(
+        jnp.asarray(x), jnp.asarray(own[:, :2], jnp.float32)
+    )
+    prior = OwnPrior.measured(
+        own[followed], x[followed, :_SEEN], np.stack(light)[followed], np.asarray(constants)[followed]
+    )
+    spread = np.sqrt(np.diagonal(prior.factor_root @ prior.factor_root.T))
+    print(
+        f"own          {followed.sum()} recordings; log factors of masses and friction vary by "
+        f"{np.array2string(own[followed][:, 2:].std(axis=0), precision=3)}, known to "
+        f"{np.array2string(spread, precision=3)} by what is seen",
+        flush=True,
+    )
+    return eqx.tree_at(lambda m: m.initial_state.prior, model, prior), data
+
+
 def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
     """Return several preparations as one."""
 
@@ -218,15 +264,54 @@ def observed_keypoints(
     Many long recordings are observed for a while only: `taken_up`, from frames on that are spread over them, else from
     their first frame on.
     """
-    step = max(1, len(data.u) // trajectories)
-    some, length = range(first % step, len(data.u), step), data.image.shape[1]
-    span = min(length, max(_SPAN, _MOST // len(some)))
-    begin = np.linspace(0, (length - span) * taken_up, len(some)).round().astype(int)
+    some, begin, span = _chosen(data, trajectories, first, taken_up=taken_up)
     x = [_observe(model, data.image[i][k : k + span]) for i, k in zip(some, begin, strict=True)]
     u = data.u[some.start : some.stop : some.step]
     if u.ndim == 3:
         u = jnp.stack([each[k : k + span] for each, k in zip(u, begin, strict=True)])
     return jnp.stack(x), u
+
+
+def _chosen(
+    data: Resident, trajectories: int, first: int = 0, *, taken_up: bool = True
+) -> tuple[range, np.ndarray, int]:
+    """Return the recordings that `observed_keypoints` observes, the first frame in each, and how many frames."""
+    step = max(1, len(data.u) // trajectories)
+    some, length = range(first % step, len(data.u), step), data.image.shape[1]
+    span = min(length, max(_SPAN, _MOST // len(some)))
+    return some, np.linspace(0, (length - span) * taken_up, len(some)).round().astype(int), span
+
+
+def own_guess(model: Any, x: jax.Array) -> Own | None:
+    """Return a first guess and a wide prior of the own parameters in keypoints `[N, T, 2K]`; None without any."""
+    if not isinstance(model.initial_state, OwnInitialState):
+        return None
+    numbers = jnp.concatenate(
+        [rough_places(model.law, x), jnp.zeros((len(x), len(model.initial_state.prior.factors)))], axis=1
+    )
+    spread = jnp.where(jnp.arange(numbers.shape[1]) < 2, *_WIDE)
+    return Own(numbers, numbers, jnp.diag((_EXACT / spread) ** 2))
+
+
+def _tracks(model: Any, x: jax.Array, u: jax.Array, dt: jax.Array, tried: Tried | None) -> Tracks:
+    return Tracks(x, u, dt, model.constants, _located(model, x, tried), own_guess(model, x))
+
+
+def _followed(fitted: Fitted) -> np.ndarray:
+    """Return which recordings the fitted motions follow."""
+    errors = np.asarray(fitted.errors)
+    return errors < _LOST * np.nanmedian(errors)
+
+
+def _with_paths(data: Resident, fitted: Fitted, trajectories: int) -> Resident:
+    """Return the data with the fitted paths cached, where there are any."""
+    rows, begin, span = _chosen(data, trajectories)
+    paths, followed = np.asarray(fitted.paths), _followed(fitted)
+    cached = np.full((*data.image.shape[:2], paths.shape[-1]), np.nan, np.float32)
+    for k, (i, first) in enumerate(zip(rows, begin, strict=True)):
+        if followed[k]:
+            cached[i, first : first + span] = paths[k]
+    return eqx.tree_at(lambda d: d.cached, data, jnp.asarray(cached), is_leaf=lambda x: x is None)
 
 
 def _located(model: KeyCLD, x: jax.Array, tried: Tried | None) -> bool:
@@ -268,6 +353,13 @@ def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
     return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
+
+
+@eqx.filter_jit
+def _light(model: Any, image: jax.Array) -> jax.Array:
+    frames = image.astype(jnp.float32) / 255.0
+    keypoints = jax.vmap(lambda frame: model.observe(frame).keypoints)(frames)
+    return light_of(frames, model.renderer.background, keypoints).reshape(-1)
 
 
 @eqx.filter_jit

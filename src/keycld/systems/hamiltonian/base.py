@@ -95,7 +95,7 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
 
     @property
     def constraints(self) -> "keycld.mechanics.Constraints | None":
-        """The `relations` between the keypoints; None for the "+c" sets, whose places and lengths vary."""
+        """The `relations` between the keypoints, around the place of the trajectory."""
         from keycld.mechanics import Constraints
 
         return None if not self.keypoints else Constraints(keypoints=self.keypoints, items=self.relations())
@@ -110,7 +110,7 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
         The state does not tell the random places of those. The y axis of the pictures points down, that of the image
         plane up.
         """
-        if not self.keypoints:
+        if self.varied or not self.keypoints:
             return super().landmarks(state)
         states = np.asarray(state, np.float64).reshape(-1, 1, state.shape[-1])
         constants = {name: np.full(len(states), low) for name, (low, _) in self.ranges.items()}

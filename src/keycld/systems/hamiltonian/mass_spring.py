@@ -108,6 +108,9 @@ class MassSpringColors(AbstractMassSpring):
     ranges = _VARIED
     half_width = _AMPLITUDES[1] + disc_radius(1.0)
     varied = True
+    keypoints = ("disc",)
+    looks_differ = True
+    parameters_differ = True
     hues = 6
     counts = COUNTS_WITH_LONG
 
@@ -124,5 +127,8 @@ class MassSpringColorsFriction(AbstractMassSpring):
     ranges = _VARIED
     half_width = _AMPLITUDES[1] + disc_radius(1.0)
     varied = True
+    keypoints = ("disc",)
+    looks_differ = True
+    parameters_differ = True
     friction = 0.05
     hues = 6

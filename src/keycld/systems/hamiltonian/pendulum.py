@@ -89,6 +89,9 @@ class ToyPendulumColors(AbstractToyPendulum):
     ranges = _VARIED
     half_width = 1.0 + disc_radius(1.5)
     varied = True
+    keypoints = ("disc",)
+    looks_differ = True
+    parameters_differ = True
     hues = 6
     counts = COUNTS_WITH_LONG
 
@@ -105,5 +108,8 @@ class ToyPendulumColorsFriction(AbstractToyPendulum):
     ranges = _VARIED
     half_width = 1.0 + disc_radius(1.5)
     varied = True
+    keypoints = ("disc",)
+    looks_differ = True
+    parameters_differ = True
     friction = 0.05
     hues = 6

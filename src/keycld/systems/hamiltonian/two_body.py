@@ -105,5 +105,8 @@ class TwoBodyColors(AbstractTwoBody):
     name = "toy/two_body_colors"
     ranges = {"m": (0.5, 1.5), "g": (0.5, 1.5)}
     varied = True
+    keypoints = ("first", "second")
+    looks_differ = True
+    parameters_differ = True
     half_width = 5.0
     hues = 6

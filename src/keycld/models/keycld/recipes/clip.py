@@ -27,6 +27,7 @@ class ClipConfig(FastConfig):
     5. `final`: no steps; nothing is left to choose, so the constants are fitted to training and validation part.
     """
 
+    OWN: ClassVar[bool] = False
     TOLERATED: ClassVar[float] = 0.5  # No law explains a real mechanism to the errors of its keypoints.
 
     velocity_prior: bool = False

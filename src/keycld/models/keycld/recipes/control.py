@@ -2,7 +2,7 @@
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from keycld.models.config import at_least_one
 from keycld.models.keycld.config import MODELS
@@ -21,6 +21,8 @@ class ControlConfig(FastConfig):
 
     Planning needs more exact forces than prediction does.
     """
+
+    OWN: ClassVar[bool] = False
 
     joint: JointStage = JointStage(steps=6000, fit_every=1000)
     """Third stage."""

@@ -4,6 +4,7 @@ import dataclasses
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar
 
+from keycld._errors import KeycldError
 from keycld.models.config import ModelConfig, at_least_one
 from keycld.models.keycld.config import MODELS, KeyCLDConfig
 from keycld.models.registry import register_preset
@@ -128,6 +129,9 @@ class FastConfig(KeyCLDConfig):
         "dynamics.law.potential.perceptron.": "dynamics.law.potential.terms.perceptron-32.perceptron.",
     }
 
+    OWN: ClassVar[bool] = True
+    """Whether the preset can learn trajectories with parameters of their own."""
+
     TOLERATED: ClassVar[float] = 0.05
     """Pixels of error that the law may have at the end of the training, however small the keypoints' own errors are."""
 
@@ -151,6 +155,9 @@ class FastConfig(KeyCLDConfig):
     the system says that they do, else none."""
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
+    own_parameters: bool | None = None
+    """Each trajectory has a place of its own, and factors of masses and friction of its own; by default where the
+    system says that these differ. Without them nothing but the constants of the constraints may differ."""
     velocity_prior: bool = True
     """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
     groups: int = 4
@@ -171,21 +178,29 @@ class FastConfig(KeyCLDConfig):
         at_least_one(self.vision, "candidates", "trial", "batch")
         at_least_one(self.dynamics, "batch")
         at_least_one(self.joint, "batch", "fit_every")
+        if self.own_parameters and (self.model != "keycld" or not self.OWN):
+            raise KeycldError(
+                "own_parameters are learned by the model keycld with the preset fast alone: leave the setting out, or "
+                "choose these."
+            )
 
     def completed(self, source: Any = None) -> "ModelConfig":
         """Return the config with its constraints, and with looks where those of the source's recordings differ."""
         config = super().completed(source)
         assert isinstance(config, FastConfig)
         if config.looks is None and source is not None and source.looks_differ and self.model != "fc":
-            return dataclasses.replace(config, looks=_LOOKS)
+            config = dataclasses.replace(config, looks=_LOOKS)
+        own = self.model == "keycld" and self.OWN and source is not None and source.parameters_differ
+        if config.own_parameters is None and own:
+            config = dataclasses.replace(config, own_parameters=True)
         return config
 
     def settings(self) -> dict[str, Any]:
-        """Return all fields as JSON values, without looks where nothing says that they differ: older records hold."""
+        """Return all fields as JSON values; what may differ by recording only where it does: older records hold."""
         found = super().settings()
-        if found["looks"] is None:
-            del found["looks"]
-        return found
+        return {
+            name: value for name, value in found.items() if name not in ("looks", "own_parameters") or value is not None
+        }
 
     @property
     def context(self) -> int:
