@@ -286,7 +286,7 @@ class Grey(eqx.Module):
     background: jax.Array
     gain: float
 
-    def __call__(self, keypoints):
+    def __call__(self, keypoints, looks=None):
         return self.background + self.gain * keypoints[0, 0]
 
 

@@ -214,9 +214,24 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     if tried is None or not _sound(fitted):
         return fitted
     left = _selected(fitted, tracks, tried)[0]
-    if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
-        return fitted
-    return _fitted(left, tracks, fitted)
+    if terms_of(_lagrangian(left)).keys() != terms_of(_lagrangian(fitted.dynamics)).keys():
+        fitted = _fitted(left, tracks, fitted)
+    return fitted if tracks.own is None else _spared(fitted, tracks, tried.worth)
+
+
+def _spared(fitted: Fitted, tracks: Tracks, worth: float) -> Fitted:
+    """Return the fit without the terms whose part own parameters take, which `_selected` does not see.
+
+    Its quadratic model holds for small changes. The place of a recording may move far: next to a fixed point outside a
+    line, for example, each recording has a spring of its own softness.
+    """
+    kinds = terms_of(_lagrangian(fitted.dynamics))
+    for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
+        terms = {name: term for name, term in terms_of(_lagrangian(fitted.dynamics)).items() if name != kind}
+        simpler = _fitted(_with_law(fitted.dynamics, with_terms(_lagrangian(fitted.dynamics), terms)), tracks, fitted)
+        if _sound(simpler) and simpler.cost <= (1 + worth) * fitted.cost:
+            fitted = simpler
+    return fitted
 
 
 def follow(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:

@@ -212,7 +212,7 @@ def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = FI
 
 
 def measure_own_prior(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Measure the prior of own parameters (`OwnPrior`) on recordings whose motion tells them.
+    """Fit once more, and measure the prior of own parameters (`OwnPrior`) on recordings whose motion tells them.
 
     Recordings that no motion of the law follows are left out.
     """
@@ -235,7 +235,8 @@ def measure_own_prior(model: Any, data: Resident) -> tuple[Any, Resident]:
         f"{np.array2string(spread, precision=3)} by what is seen",
         flush=True,
     )
-    return eqx.tree_at(lambda m: m.initial_state.prior, model, prior), data
+    # Factors mean nothing without the law of the same fit: (μ, V) is known up to a common factor.
+    return eqx.tree_at(lambda m: (m.dynamics, m.initial_state.prior), model, (fitted.dynamics, prior)), data
 
 
 def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
