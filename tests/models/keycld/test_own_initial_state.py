@@ -11,13 +11,18 @@ from keycld.mechanics import (
     Constraints,
     MechanicalDynamics,
     OnLine,
+    Own,
     PointMasses,
     Rattle,
     Springs,
     SumPotential,
+    terms_of,
 )
+from keycld.mechanics.forces.anchors import Anchors
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.models import Scene, config_for
+from keycld.models.keycld import prepare
+from keycld.models.keycld.identify import Tracks, Tried, refit
 from keycld.models.keycld.losses import SmoothedLoss
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
 from keycld.systems import get
@@ -52,6 +57,13 @@ def recordings(count, frames, seed):
     return place, mass, light, paths
 
 
+def on_a_line(**terms):
+    """A unit mass that moves along y, with these terms of V."""
+    phi = Constraints(("disc",), (OnLine("disc", direction=(0.0, 1.0)),))
+    potential = SumPotential(jnp.zeros(2), terms)
+    return MechanicalDynamics(ConstrainedLagrangian(PointMasses.ones(1), potential, None, phi), Rattle(substeps=2))
+
+
 @pytest.fixture(scope="module")
 def learned():
     place, mass, light, paths = recordings(120, 5, 0)
@@ -81,9 +93,7 @@ def test_the_light_of_a_part_is_a_sum_over_its_pixels():
 
 def test_five_frames_predict_a_hundred(learned):
     """With the mass seen and observations exact to 1e-4, a period later the error is a fifth of the amplitudes'."""
-    phi = Constraints(("disc",), (OnLine("disc", direction=(0.0, 1.0)),))
-    potential = SumPotential(jnp.zeros(2), {"springs": Springs(jnp.array([[2.0]]))})
-    dynamics = MechanicalDynamics(ConstrainedLagrangian(PointMasses.ones(1), potential, None, phi), Rattle(substeps=2))
+    dynamics = on_a_line(springs=Springs(jnp.array([[2.0]])))
     initial = OwnInitialState(learned, jnp.array([1e-4]))
     place, mass, light, paths = recordings(20, 101, 2)
     seen = paths[:, :5] + 1e-4 * np.random.default_rng(3).normal(size=(20, 5, 2))
@@ -132,3 +142,47 @@ def test_keypoints_learn_fitted_positions(getkey):
     slopes = eqx.filter_jit(eqx.filter_grad(loss))(model)
     moved = eqx.apply_updates(model, jax.tree.map(lambda s: None if s is None else -1e-2 * s, slopes))
     assert float(distance(moved)) < float(distance(model))
+
+
+def test_the_prior_of_masses_belongs_to_the_law_of_the_model(monkeypatch):
+    """Only ω² = k/m is determined: a fit may end with twice the masses and twice the stiffness."""
+    config = config_for("keycld", "fast", width=8, terms=("springs",)).completed(get("toy/mass_spring_colors"))
+    model = config.build(SCENE, jax.random.key(0))
+    model = eqx.tree_at(lambda m: m.dynamics, model, on_a_line(springs=Springs(jnp.array([[3.0]]))))
+    _, mass, _, paths = recordings(24, 60, 0)
+    seen = paths + 1e-3 * np.random.default_rng(1).normal(size=paths.shape)
+    monkeypatch.setattr(prepare, "observed_keypoints", lambda *_: (jnp.asarray(seen, jnp.float32), jnp.zeros((24, 0))))
+
+    def refit_twice_as_heavy(dynamics, tracks):
+        fitted = refit(dynamics, tracks)
+        stiffer = eqx.tree_at(
+            lambda d: d.law.potential, fitted.dynamics, replace_fn=lambda v: jax.tree.map(lambda a: 2 * a, v)
+        )
+        return fitted._replace(dynamics=stiffer, own=fitted.own.at[:, 2].add(jnp.log(2.0)))
+
+    monkeypatch.setattr(prepare, "refit", refit_twice_as_heavy)
+    data = Resident(jnp.zeros((24, 60, 16, 16, 3), jnp.uint8), jnp.zeros((24, 0)), DT)
+    model, _ = prepare.measure_own_prior(model, data)
+    mean, _ = model.initial_state.prior(jnp.asarray(seen[0, :5], jnp.float32), None)
+    stiffness = model.law.potential.terms["springs"].stiffness[0, 0] / model.law.masses[0]
+    assert float(stiffness / jnp.exp(mean[2])) == pytest.approx(2 / np.exp(np.mean(np.log(mass))), rel=0.03)
+
+
+def test_a_term_whose_part_places_take_is_dropped():
+    """Next to a point outside the line, each recording has a spring of its own softness. There is none.
+
+    The fit begins where places are a unit from that point, and frequencies are right.
+    """
+    place, mass, _, paths = recordings(24, 80, 0)
+    seen = jnp.asarray(paths + 3e-4 * np.random.default_rng(1).normal(size=paths.shape), jnp.float32)
+    stiffness, strength = 2.9, 2.1
+    both = on_a_line(
+        springs=Springs(jnp.array([[stiffness]])), anchors=Anchors(jnp.array([strength]), jnp.zeros((1, 2)))
+    )
+    factor = np.log(mass * (stiffness + strength) / 2)
+    numbers = np.column_stack([place + np.array([1.0, 0.0]), factor, np.zeros(24)])
+    precision = jnp.diag((1e-3 / jnp.array([0.3, 0.3, 0.5, 0.5])) ** 2)
+    own = Own(jnp.asarray(numbers, jnp.float32), jnp.asarray(numbers, jnp.float32), precision)
+    fitted = refit(both, Tracks(seen, jnp.zeros((24, 0)), DT, None, own=own), tried=Tried())
+    assert terms_of(fitted.dynamics.law).keys() == {"springs"}
+    assert float(fitted.rms) < 3.5e-4

@@ -213,10 +213,12 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
             return simpler
     if tried is None or not _sound(fitted):
         return fitted
+    if tracks.own is not None:
+        fitted = _spared(fitted, tracks, tried.worth)
     left = _selected(fitted, tracks, tried)[0]
-    if terms_of(_lagrangian(left)).keys() != terms_of(_lagrangian(fitted.dynamics)).keys():
-        fitted = _fitted(left, tracks, fitted)
-    return fitted if tracks.own is None else _spared(fitted, tracks, tried.worth)
+    if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
+        return fitted
+    return _fitted(left, tracks, fitted)
 
 
 def _spared(fitted: Fitted, tracks: Tracks, worth: float) -> Fitted:
