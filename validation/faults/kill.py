@@ -22,6 +22,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import imageio.v3 as iio
+import numpy as np
+from safetensors.numpy import load_file
 from validation.faults.fuzz import REPOSITORY, Worker, exit_code, prepare
 from validation.faults.originals import DEMO, WATCH
 
@@ -123,11 +126,11 @@ def kills(base: Path, name: str, limit: float, most: int) -> dict[str, Any]:
     varies = {path for path in {**whole, **expected} if whole.get(path) != expected.get(path)}
     # A training removes its older checkpoints.
     kept = before.keys() & expected.keys()
-    remains = [contents(moment) for moment in states.values()]
+    remains = [(moment, contents(moment)) for moment in states.values()]
     found: dict[str, Any] = {
         "kills": len(moments), "states": len(states), "continued": len(chosen),
-        "absent": sum(any(path not in left for path in kept) for left in remains), "lost": 0,
-        "half": sum(len(set(_half(left, before, expected)) - varies) for left in remains),
+        "absent": sum(any(path not in left for path in kept) for _, left in remains), "lost": 0,
+        "half": sum(len(_half(moment, left, before, expected)) for moment, left in remains),
         "different_after_resuming": 0, "varies": sorted(varies),
     }  # fmt: skip
     for moment in chosen:
@@ -168,10 +171,36 @@ def _recorded(words: list[str], outer: Path, copies: Path) -> None:
         raise SystemExit(f"{' '.join(words)} ends with {os.waitstatus_to_exitcode(status)} on whole files.")
 
 
-def _half(left: dict[str, str], *whole: dict[str, str]) -> list[str]:
-    """Return the files that are as none of those that are whole."""
+def _half(folder: Path, left: dict[str, str], *whole: dict[str, str]) -> list[str]:
+    """Return the files that are as none of those that are whole, and cannot be read to their end either.
+
+    What a training writes at some seconds, or a page with the time of day, differs between two whole runs.
+    """
     known = {(path, digest) for each in whole for path, digest in each.items()}
-    return [path for path, digest in left.items() if (path, digest) not in known and Path(path).name != _POINTER]
+    new = [path for path, digest in left.items() if (path, digest) not in known and Path(path).name != _POINTER]
+    return [path for path in new if not _reads_to_its_end(folder / path)]
+
+
+def _reads_to_its_end(path: Path) -> bool:
+    """Return whether a file of a format that tells its end is whole; False for other formats."""
+    try:
+        match path.suffix:
+            case ".json":
+                json.loads(path.read_text())
+            case ".safetensors":
+                load_file(path)
+            case ".npz":
+                with np.load(path) as arrays:
+                    _ = [arrays[name] for name in arrays]
+            case ".png" | ".gif":
+                iio.imread(path)
+            case ".html":
+                return path.read_text().rstrip().endswith("</html>")
+            case _:
+                return False
+    except Exception:  # any error says the same
+        return False
+    return True
 
 
 def full(base: Path, name: str, limit: float) -> dict[str, Any]:
@@ -204,7 +233,7 @@ def _count(
     """Add one try on a full disk to the counts; earlier files are lost where one of them is not there."""
     left = contents(outer / "work")
     orphans = [path for path in outer.rglob(".*partial") if path.name != ".partial"]
-    half = [*_half(left, before, expected), *(before.keys() - left.keys())]
+    half = [*_half(outer / "work", left, before, expected), *(before.keys() - left.keys())]
     found["tries"] += 1
     found["refused"] += ended["exit"] == 2
     found["faults"] += bool(ended["faults"] or ended["unforeseen"])
