@@ -127,6 +127,16 @@ def test_a_run_that_began_again_is_resumed_bit_for_bit(whole, tmp_path, monkeypa
     assert steps(run) == [4, 6]  # as an uninterrupted one: the first two are the trial of the candidates
 
 
+def test_what_a_kill_left_of_older_checkpoints_is_deleted(whole):
+    """A process that ended while it deleted them, after the last one: a finished run writes no further one."""
+    root, data, expected = whole
+    run = shutil.copytree(root / "whole", root / "full")
+    assert len([path for path in (run / "checkpoints").iterdir() if path.is_dir()]) > 2
+    assert_same(expected, train(data, run, CONFIG, log_every=2))
+    left = {path.name for path in (run / "checkpoints").iterdir() if path.is_dir()}
+    assert len(left) == 2 and latest_checkpoint(run).name in left
+
+
 def test_a_finished_run_loads_without_its_data(whole):
     root, _, model = whole
     assert finished(root / "whole")

@@ -66,12 +66,17 @@ def save_checkpoint(
         write_text(root / "latest", name)
     except KeycldError as error:
         raise KeycldError(f"{error} The previous checkpoint is intact.") from error
+    remove_older(final, keep)
+    return final
+
+
+def remove_older(checkpoint: Path, keep: int) -> None:
+    """Delete all checkpoints of a run but this one and the `keep` − 1 newest others."""
     # Hidden folders are what killed processes left.
-    visible = [path for path in root.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    others = sorted((path for path in visible if path != final), key=lambda path: path.stat().st_mtime)
+    visible = [path for path in checkpoint.parent.iterdir() if path.is_dir() and not path.name.startswith(".")]
+    others = sorted((path for path in visible if path != checkpoint), key=lambda path: path.stat().st_mtime)
     for old in others[: max(0, len(others) - keep + 1)]:
         shutil.rmtree(old, ignore_errors=True)
-    return final
 
 
 def latest_checkpoint(folder: Path) -> Path | None:

@@ -18,7 +18,15 @@ from keycld._progress import Bar
 from keycld.data import Resident, TrainingData
 from keycld.models.base import AbstractModel
 from keycld.stages import Stage
-from keycld.training.checkpoints import STATE, WEIGHTS, latest_checkpoint, load_arrays, read_position, save_checkpoint
+from keycld.training.checkpoints import (
+    STATE,
+    WEIGHTS,
+    latest_checkpoint,
+    load_arrays,
+    read_position,
+    remove_older,
+    save_checkpoint,
+)
 from keycld.training.devices import Devices
 from keycld.training.run_files import Metrics, write_verdict
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
@@ -140,6 +148,8 @@ class _Trainer:
             self.model = training.fresh(0)
         else:
             step = self._resume(checkpoint)
+            # A process that was killed may have left some.
+            remove_older(checkpoint, training.keep)
         self.metrics = Metrics(training.folder, training.before[self.number] + step)
 
     def _resume(self, checkpoint: Path) -> int:

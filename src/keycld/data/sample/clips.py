@@ -11,7 +11,7 @@ class Clip(eqx.Module):
     """Frames of one trajectory in order, gaps allowed; a sampler gives a batch of them, stacked.
 
     Attributes:
-        frames: values in [0, 1], or None if the clip holds cached values instead of them.
+        frames: values in [0, 1], or None if the clip holds cached values alone.
         cached: the cached values of the frames, or None.
         index: frame numbers, counted from the first frame of the clip's window.
         u: the input, `[l]` constant or `[span, l]` from the first frame of the window on.

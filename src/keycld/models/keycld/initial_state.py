@@ -19,7 +19,7 @@ from keycld.mechanics import (
 )
 
 # ν of Student's t: the tails of observation errors.
-_TAIL = 4
+TAIL = 4
 
 
 class AbstractInitialState(eqx.Module):
@@ -66,6 +66,24 @@ class AbstractInitialState(eqx.Module):
         By default only the first `given` frames are used. The light of the parts tells own parameters.
         """
         return self(dynamics, x[: self.given], dt, u), None
+
+
+def reweighted(
+    off: Float[Array, "n K 2"], slopes: Float[Array, "n K 2 size"]
+) -> tuple[Float[Array, "size size"], Float[Array, "size"]]:
+    """Return the normal equations of errors with the tails of Student's t: matrix and slope.
+
+        ρ(e) = (ν + 2)/2 log(1 + e²/ν),    weights (ν + 2) / (ν + e²),    ν = 4
+
+    Args:
+        off: errors e of keypoints, in their deviations.
+        slopes: their derivatives.
+    """
+    weight = (TAIL + 2) / (TAIL + jnp.sum(off**2, axis=2, keepdims=True))
+    flat = slopes.reshape(off.size, -1)
+    pull = flat * jnp.broadcast_to(weight, off.shape).reshape(-1, 1)
+    normal = jnp.matmul(pull.T, flat, precision="highest")
+    return normal, jnp.matmul(pull.T, off.reshape(-1), precision="highest")
 
 
 class FittedInitialState(AbstractInitialState):
@@ -153,12 +171,7 @@ class FittedInitialState(AbstractInitialState):
             return off / self.error[None, :, None]
 
         def weighted(z: Array) -> tuple[Array, Array]:
-            off = residual(z)
-            weight = (_TAIL + 2) / (_TAIL + jnp.sum(off**2, axis=2, keepdims=True))
-            slopes = jax.jacfwd(residual)(z).reshape(-1, 2 * dim)
-            pull = slopes * jnp.broadcast_to(weight, off.shape).reshape(-1, 1)
-            normal = jnp.matmul(pull.T, slopes, precision="highest")
-            return normal, jnp.matmul(pull.T, off.reshape(-1), precision="highest")
+            return reweighted(residual(z), jax.jacfwd(residual)(z))
 
         def improve(z: Array, _: None) -> tuple[Array, None]:
             normal, slope = weighted(z)

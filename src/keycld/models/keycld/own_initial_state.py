@@ -17,11 +17,9 @@ from keycld.mechanics import (
     own_law,
     own_parameters,
 )
-from keycld.models.keycld.initial_state import AbstractInitialState
+from keycld.models.keycld.initial_state import TAIL, AbstractInitialState, reweighted
 from keycld.vision import image_grid
 
-# ν of Student's t: the tails of observation errors.
-_TAIL = 4
 # Levenberg–Marquardt steps from each first guess of the place, and how many deviations the guesses are from the mean.
 _STEPS, _AWAY = 25, 1.5
 # Radial functions of the light, next to linear ones, and s of its shares.
@@ -217,17 +215,14 @@ class OwnInitialState(AbstractInitialState):
 
         def cost(z: Array) -> Array:
             off, unexpected = residuals(z)
-            total = (_TAIL + 2) / 2 * jnp.sum(jnp.log1p(jnp.sum(off**2, axis=2) / _TAIL)) + jnp.sum(unexpected**2) / 2
+            total = (TAIL + 2) / 2 * jnp.sum(jnp.log1p(jnp.sum(off**2, axis=2) / TAIL)) + jnp.sum(unexpected**2) / 2
             return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
         def improve(search: tuple[Array, Array, Array], _: None) -> tuple[tuple[Array, Array, Array], None]:
             z, least, damping = search
             (off, unexpected), (by_off, by_unexpected) = residuals(z), jax.jacfwd(residuals)(z)
-            weight = (_TAIL + 2) / (_TAIL + jnp.sum(off**2, axis=2, keepdims=True))
-            pull = (weight[..., None] * by_off).reshape(-1, z.size)
-            normal = jnp.matmul(pull.T, by_off.reshape(-1, z.size), precision="highest")
+            normal, slope = reweighted(off, by_off)
             normal = normal + jnp.matmul(by_unexpected.T, by_unexpected, precision="highest")
-            slope = jnp.matmul(pull.T, off.reshape(-1), precision="highest")
             slope = slope + jnp.matmul(by_unexpected.T, unexpected, precision="highest")
             diagonal = jnp.diagonal(normal)
             # The projections remove some directions of z; the damping keeps the matrix regular there.

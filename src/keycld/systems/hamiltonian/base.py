@@ -94,6 +94,11 @@ class AbstractHamiltonianSystem(AbstractInitialValueSystem):
         return soft_discs(visible.reshape(-1, 2), radii, colours, canvas, self.size)
 
     @property
+    def parameters_differ(self) -> bool:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Whether this is a "+c" set."""
+        return self.varied
+
+    @property
     def constraints(self) -> "keycld.mechanics.Constraints | None":
         """The `relations` between the keypoints, around the place of the trajectory."""
         from keycld.mechanics import Constraints

@@ -110,7 +110,6 @@ class MassSpringColors(AbstractMassSpring):
     varied = True
     keypoints = ("disc",)
     looks_differ = True
-    parameters_differ = True
     hues = 6
     counts = COUNTS_WITH_LONG
 
@@ -129,6 +128,5 @@ class MassSpringColorsFriction(AbstractMassSpring):
     varied = True
     keypoints = ("disc",)
     looks_differ = True
-    parameters_differ = True
     friction = 0.05
     hues = 6

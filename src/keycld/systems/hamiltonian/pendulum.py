@@ -91,7 +91,6 @@ class ToyPendulumColors(AbstractToyPendulum):
     varied = True
     keypoints = ("disc",)
     looks_differ = True
-    parameters_differ = True
     hues = 6
     counts = COUNTS_WITH_LONG
 
@@ -110,6 +109,5 @@ class ToyPendulumColorsFriction(AbstractToyPendulum):
     varied = True
     keypoints = ("disc",)
     looks_differ = True
-    parameters_differ = True
     friction = 0.05
     hues = 6

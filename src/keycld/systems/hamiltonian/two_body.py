@@ -107,6 +107,5 @@ class TwoBodyColors(AbstractTwoBody):
     varied = True
     keypoints = ("first", "second")
     looks_differ = True
-    parameters_differ = True
     half_width = 5.0
     hues = 6
