@@ -3,12 +3,14 @@ import json
 import re
 import shutil
 
+import numpy as np
 import pytest
 from browser import look
 
 from keycld import KeycldError
 from keycld.evaluation import Evaluation, Protocol, evaluate, load_evaluation, save_evaluation
 from keycld.reports import write_report
+from keycld.reports.movies import sheet_step
 from swing import Swing
 
 
@@ -153,3 +155,9 @@ def test_what_is_no_run_folder_is_refused(tmp_path):
     (tmp_path / "config.json").write_text("{")
     with pytest.raises(KeycldError, match="is damaged"):
         write_report(tmp_path)
+
+
+@pytest.mark.parametrize(("length", "stride", "step"), [(50, 1, 6), (256, 2, 12), (5, 1, 6)])
+def test_a_sheet_says_how_many_frames_lie_between_its_pictures(length, stride, step):
+    """Of long predictions every second frame is stored; of few frames there is one picture."""
+    assert sheet_step(np.arange(0, length, stride)) == step

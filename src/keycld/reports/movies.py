@@ -19,6 +19,8 @@ from keycld.evaluation import Evaluation
 from keycld.reports import html
 
 _TRAIL = 10
+# Stored frames from one picture of a sheet to the next, as in Fig. 4 of the paper.
+_EVERY = 6
 
 
 def frames_per_second(result: Evaluation) -> float:
@@ -81,15 +83,24 @@ def _held(frames: np.ndarray) -> np.ndarray:
     return np.concatenate([frames, np.repeat(frames[-1:], 12, axis=0)])
 
 
-def trajectory_sheet(folder: Path, result: Evaluation, n: int, every: int = 6) -> str:
-    """Return a sheet of every sixth frame, truth above prediction (Fig. 4); writes media/sheet-N.png."""
+def sheet_step(shown: np.ndarray) -> int:
+    """Return how many frames lie between two pictures of a sheet; `shown` are the numbers of the stored frames."""
+    shown = shown[::_EVERY]
+    return int(shown[1] - shown[0]) if len(shown) > 1 else _EVERY
+
+
+def trajectory_sheet(folder: Path, result: Evaluation, n: int) -> str:
+    """Return a sheet of every sixth stored frame, truth above prediction (Fig. 4); writes media/sheet-N.png."""
     rows = [result.arrays["truth"][n], result.arrays["prediction"][n]]
-    picture = sheet(rows, every)
+    picture = sheet(rows, _EVERY)
     save_image(folder / "media" / f"sheet-{n + 1}.png", enlarge(picture, 3))
-    count = len(rows[0][::every])
-    numbers = result.arrays["shown_index"][::every]
+    count = len(rows[0][::_EVERY])
+    numbers = result.arrays["shown_index"][::_EVERY]
     heads = "".join(f"<span>{number}</span>" for number in numbers)
-    image = html.image(picture, f"Every {every}th frame of recording {n + 1}: truth above, prediction below")
+    image = html.image(
+        picture,
+        f"One frame in {sheet_step(result.arrays['shown_index'])} of recording {n + 1}: truth above, prediction below",
+    )
     return (
         f'<div class="sheet" style="--frames:{count}">'
         '<div class="rows"><span>truth</span><span>prediction</span></div>'

@@ -23,7 +23,9 @@ def keypoints(run: Run) -> str:
     """Show how well the keypoints determine the true state."""
     result = run.headline
     if result is None or "state" not in result.scores:
-        return html.missing("state", "Keypoints and the true state", "no true states, or a model without keypoints")
+        return html.missing(
+            "state", "Keypoints and the true state", "the data does not tell the true positions of keypoints"
+        )
     state = result.scores["state"]
     pixel = 2.0 / (min(result.arrays["truth"].shape[2:4]) - 1)
     rows = [

@@ -138,7 +138,8 @@ def frame_sheets(run: Run) -> str:
         return ""
     count = min(2, len(result.arrays["truth"]))
     sheets = [movies.trajectory_sheet(run.folder, result, n) for n in range(count)]
-    note = "Every sixth frame, as in Fig. 4 of the paper."
+    step = movies.sheet_step(result.arrays["shown_index"])
+    note = f"One frame in {step}, as in Fig. 4 of the paper."
     return html.section("sheets", "Frame by frame", html.paragraph(note) + "".join(map(html.figure, sheets)))
 
 
