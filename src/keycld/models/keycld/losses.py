@@ -15,6 +15,9 @@ from keycld.models.keycld.patches import shared_patches
 from keycld.stages import AbstractLoss, Terms
 from keycld.vision import DenseEstimator, KeypointEstimator, Observation, gaussian_maps, image_grid
 
+# Least σ of the Gaussians of L_h, cells of a heat map.
+_WIDE = 0.75
+
 
 class VisionLoss(AbstractLoss):
     """Loss of single frames: L = L_r + w_h L_h + Σ_i w_i(t) U_i − w_s(t) S.
@@ -23,7 +26,9 @@ class VisionLoss(AbstractLoss):
         L_h = mean over frames of Σ_k Σ_p b log(b / s)      heat maps s against Gaussians b at their own keypoints
         U_i = mean over frames of (Φ_i − mean Φ_i)² / |DΦ_i|²    unevenness of constraint i, a squared length
 
-    b ∝ exp(−|x_p − x_k|²/2σ²), normalised and without gradient, keeps the heat maps single-peaked. Only DΦ enters eq.
+    b ∝ exp(−|x_p − x_k|²/2σ²), normalised and without gradient, keeps the heat maps single-peaked. It has at least ¾ of
+    the width of a cell: a narrower one nearly vanishes between the centres of the cells, and keypoints there come out
+    three times less precise (`results/priors-keycld.md`). Only DΦ enters eq.
     (6), so the values of Φ are free, but they must be constant: no dynamics can follow keypoints whose distance to the
     pivot changes with the angle (arXiv v1, Fig. 13b). Unknown pivots and directions are those that fit the batch best.
     t = min(step / steps, 1) is the progress of the stage. Where the parts look different in each recording, a clip has
@@ -61,7 +66,7 @@ class VisionLoss(AbstractLoss):
             motions constant distances tell the joint more exactly.
         patch: width of these patches, image-plane units.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
-        sigma: σ of b, image-plane units.
+        sigma: σ of b, image-plane units; less than ¾ of a heat-map cell counts as that.
         own: recordings have places and lengths of their own, so that nothing is even: all w_i are zero, and all
             keypoints are free.
     """
@@ -161,7 +166,7 @@ class PredictionLoss(AbstractLoss):
             as a usual reconstruction error.
         constraint: w_c.
         heat_map: w_h.
-        sigma: σ of the Gaussians of L_h, image-plane units.
+        sigma: σ of the Gaussians of L_h, image-plane units; at least ¾ of a heat-map cell.
         scale: s of the pseudo-Huber distance, image-plane units. Diverged roll-outs, such as those backward from a fast
             pole, have errors of 0.5; those that training can correct have 0.01 and must still count.
     """
@@ -226,7 +231,7 @@ class SmoothedLoss(AbstractLoss):
     Attributes:
         track: w_t, for squared distances in image-plane units.
         heat_map: w_h.
-        sigma: σ of the Gaussians of L_h, image-plane units.
+        sigma: σ of the Gaussians of L_h, image-plane units; at least ¾ of a heat-map cell.
         scale: s of the pseudo-Huber distance, image-plane units.
     """
 
@@ -411,7 +416,8 @@ def _divergence(observed: Observation, size: tuple[int, int], sigma: Scalar) -> 
     if maps is None:
         return jnp.zeros(())
     grid = image_grid(*size, size[0] // maps.shape[-2])
-    blobs = jax.vmap(lambda x: gaussian_maps(x, grid, sigma))(jax.lax.stop_gradient(observed.keypoints))
+    wide = jnp.maximum(sigma, _WIDE * (grid[0, 1, 0] - grid[0, 0, 0]))
+    blobs = jax.vmap(lambda x: gaussian_maps(x, grid, wide))(jax.lax.stop_gradient(observed.keypoints))
     target = blobs.transpose(0, 3, 1, 2)
     target = target / (jnp.sum(target, axis=(2, 3), keepdims=True) + 1e-12)
     divergence = target * (jnp.log(target + 1e-12) - jnp.log(maps + 1e-12))

@@ -36,7 +36,7 @@ class VisionStage:
     heat_map: float = 1.0
     """Weight of the cross-entropy between a heat map and a Gaussian at its own keypoint."""
     sigma: float = 0.05
-    """Width of that Gaussian, image-plane units."""
+    """Width of that Gaussian, image-plane units; at least ¾ of a heat-map cell."""
     constraint: tuple[float, float] = (100.0, 1000.0)
     """Weight of the unevenness of the constraints at the first and the last step, linear between."""
     coupling: float = 10.0
@@ -98,7 +98,7 @@ class JointStage:
     heat_map: float = 1.0
     """Weight of the cross-entropy between a heat map and a Gaussian at its own keypoint."""
     sigma: float = 0.05
-    """Width of that Gaussian, image-plane units."""
+    """Width of that Gaussian, image-plane units; at least ¾ of a heat-map cell."""
 
 
 _LOOKS = 4
