@@ -137,6 +137,15 @@ def test_what_a_kill_left_of_older_checkpoints_is_deleted(whole):
     assert len(left) == 2 and latest_checkpoint(run).name in left
 
 
+@pytest.mark.parametrize("gone", [WEIGHTS, "position.json"])
+def test_a_checkpoint_that_a_kill_has_deleted_in_part_is_the_oldest(tmp_path, gone):
+    for number in range(3):
+        save_checkpoint(tmp_path, f"00-a-{number}", {"w": np.ones(3, "f4")}, {}, {"step": number}, keep=3)
+    (tmp_path / "checkpoints" / "00-a-0" / gone).unlink()  # this makes its folder the newest
+    save_checkpoint(tmp_path, "00-a-2", {"w": np.ones(3, "f4")}, {}, {"step": 2}, keep=2)
+    assert {path.name for path in (tmp_path / "checkpoints").iterdir()} == {"00-a-1", "00-a-2", "latest"}
+
+
 def test_a_finished_run_loads_without_its_data(whole):
     root, _, model = whole
     assert finished(root / "whole")

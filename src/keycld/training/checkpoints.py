@@ -17,7 +17,7 @@ from keycld._errors import KeycldError
 from keycld._files import checked_name, make_folder, read_text, replacing, write_text
 from keycld._records import Name, read_json
 
-WEIGHTS, STATE = "weights.safetensors", "state.safetensors"
+WEIGHTS, STATE, POSITION = "weights.safetensors", "state.safetensors", "position.json"
 
 
 class _Position(TypedDict):
@@ -62,7 +62,7 @@ def save_checkpoint(
                 temporary.mkdir()
                 save_arrays(temporary / WEIGHTS, weights)
                 save_arrays(temporary / STATE, state)
-                write_text(temporary / "position.json", json.dumps(position, indent=1))
+                write_text(temporary / POSITION, json.dumps(position, indent=1))
         write_text(root / "latest", name)
     except KeycldError as error:
         raise KeycldError(f"{error} The previous checkpoint is intact.") from error
@@ -74,9 +74,15 @@ def remove_older(checkpoint: Path, keep: int) -> None:
     """Delete all checkpoints of a run but this one and the `keep` − 1 newest others."""
     # Hidden folders are what killed processes left.
     visible = [path for path in checkpoint.parent.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    others = sorted((path for path in visible if path != checkpoint), key=lambda path: path.stat().st_mtime)
+    others = sorted((path for path in visible if path != checkpoint), key=_written)
     for old in others[: max(0, len(others) - keep + 1)]:
         shutil.rmtree(old, ignore_errors=True)
+
+
+def _written(checkpoint: Path) -> float:
+    """Return when a checkpoint was written; its folder's own time changes where a killed process deleted a part."""
+    position = checkpoint / POSITION
+    return position.stat().st_mtime if position.exists() else 0.0
 
 
 def latest_checkpoint(folder: Path) -> Path | None:
@@ -94,7 +100,7 @@ def read_position(checkpoint: Path) -> dict[str, Any]:
     Raises:
         KeycldError: it is damaged.
     """
-    path = checkpoint / "position.json"
+    path = checkpoint / POSITION
     try:
         return read_json(path, _Position, f"checkpoint {checkpoint.name} is lost, so train again into a new --out")
     except FileNotFoundError:
