@@ -168,14 +168,15 @@ def test_the_prior_of_masses_belongs_to_the_law_of_the_model(monkeypatch):
     assert float(stiffness / jnp.exp(mean[2])) == pytest.approx(2 / np.exp(np.mean(np.log(mass))), rel=0.03)
 
 
-def test_a_term_whose_part_places_take_is_dropped():
+@pytest.mark.parametrize(("stiffness", "strength"), [(2.9, 2.1), (0.02, 5.0)])
+def test_a_term_whose_part_places_take_is_dropped(stiffness, strength):
     """Next to a point outside the line, each recording has a spring of its own softness. There is none.
 
-    The fit begins where places are a unit from that point, and frequencies are right.
+    The fit begins where places are a unit from that point, and frequencies are right; then also where the point does
+    all that the springs should.
     """
     place, mass, _, paths = recordings(24, 80, 0)
     seen = jnp.asarray(paths + 3e-4 * np.random.default_rng(1).normal(size=paths.shape), jnp.float32)
-    stiffness, strength = 2.9, 2.1
     both = on_a_line(
         springs=Springs(jnp.array([[stiffness]])), anchors=Anchors(jnp.array([strength]), jnp.zeros((1, 2)))
     )

@@ -225,13 +225,18 @@ def _spared(fitted: Fitted, tracks: Tracks, worth: float) -> Fitted:
     """Return the fit without the terms whose part own parameters take, which `_selected` does not see.
 
     Its quadratic model holds for small changes. The place of a recording may move far: next to a fixed point outside a
-    line, for example, each recording has a spring of its own softness.
+    line, for example, each recording has a spring of its own softness. From such places no fit finds the way back, so
+    the other terms are fitted from nothing too.
     """
     kinds = terms_of(_lagrangian(fitted.dynamics))
     for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
-        terms = {name: term for name, term in terms_of(_lagrangian(fitted.dynamics)).items() if name != kind}
-        simpler = _fitted(_with_law(fitted.dynamics, with_terms(_lagrangian(fitted.dynamics), terms)), tracks, fitted)
-        if _sound(simpler) and simpler.cost <= (1 + worth) * fitted.cost:
+        law = _lagrangian(fitted.dynamics)
+        terms = {name: term for name, term in terms_of(law).items() if name != kind}
+        simpler = _fitted(_with_law(fitted.dynamics, with_terms(law, terms)), tracks, fitted)
+        most = (1 + worth) * fitted.cost
+        if not (_sound(simpler) and simpler.cost <= most):
+            simpler = _identified(fitted.dynamics, tuple(terms), tracks)
+        if _sound(simpler) and simpler.cost <= most:
             fitted = simpler
     return fitted
 
