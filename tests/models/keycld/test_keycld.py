@@ -249,15 +249,13 @@ def test_prediction_loss_written_out_by_hand(model, getkey):
     assert len(np.unique(drawn % 2)) == 2
     renderer, errors, divergences = eqx.filter_jit(model.renderer), [], []
     cells = (2 * np.arange(8) + 0.5 - 7.5) / 7.5  # middles of 2 × 2 pixels
+    width = max(0.05, 0.75 * (cells[1] - cells[0]))
     for b, k in np.ndindex(2, 6):
         if k in drawn[b]:
             rendered = renderer(rolled[b, sampled[b, k // 2], k][None])
             errors.append(np.sum((np.asarray(rendered) - frames[b, k]) ** 2))
         x, y = keypoints[b, k]
-        blob = np.exp(
-            -((cells[None, :] - x) ** 2 + (-cells[:, None] - y) ** 2)
-            / (2 * max(0.05, 0.75 * (cells[1] - cells[0])) ** 2)
-        )
+        blob = np.exp(-((cells[None, :] - x) ** 2 + (-cells[:, None] - y) ** 2) / (2 * width**2))
         blob = blob / blob.sum()
         divergences.append(np.sum(blob * (np.log(blob + 1e-12) - np.log(maps[b, k] + 1e-12))))
     gap = rolled - keypoints[:, None]

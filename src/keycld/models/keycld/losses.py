@@ -28,12 +28,12 @@ class VisionLoss(AbstractLoss):
 
     b ∝ exp(−|x_p − x_k|²/2σ²), normalised and without gradient, keeps the heat maps single-peaked. It has at least ¾ of
     the width of a cell: a narrower one nearly vanishes between the centres of the cells, and keypoints there come out
-    three times less precise (`results/priors-keycld.md`). Only DΦ enters eq.
-    (6), so the values of Φ are free, but they must be constant: no dynamics can follow keypoints whose distance to the
-    pivot changes with the angle (arXiv v1, Fig. 13b). Unknown pivots and directions are those that fit the batch best.
-    t = min(step / steps, 1) is the progress of the stage. Where the parts look different in each recording, a clip has
-    two frames, and each is rendered with the looks that are seen in the other: so looks cannot hide positions. S is how
-    alike the patches around each keypoint are in all frames (`shared_patches`).
+    three times less precise (`results/priors-keycld.md`). Only DΦ enters eq. (6), so the values of Φ are free, but they
+    must be constant: no dynamics can follow keypoints whose distance to the pivot changes with the angle (arXiv v1,
+    Fig. 13b). Unknown pivots and directions are those that fit the batch best. t = min(step / steps, 1) is the progress
+    of the stage. Where the parts look different in each recording, a clip has two frames, and each is rendered with the
+    looks that are seen in the other: so looks cannot hide positions. S is how alike the patches around each keypoint
+    are in all frames (`shared_patches`).
 
     Source: arXiv v1, eq. (10), for L_r; L_h after the heat-map loss of the 2024 version; U and S are ours.
 
