@@ -9,6 +9,7 @@ import runpy
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -18,7 +19,7 @@ import pytest
 
 from data.sample import sample
 from keycld import KeycldError
-from keycld._files import checked_name, read_bytes, write_text
+from keycld._files import alive, checked_name, read_bytes, write_text
 from keycld._records import Name, NumberText, Unexpected, checked, read_arrays
 from keycld.cli.main import main
 from keycld.data import check, import_video, read, write
@@ -49,6 +50,20 @@ def test_devices_and_folders_are_not_replaced(tmp_path):
             write_text(tmp_path / name, "")
     with pytest.raises(KeycldError, match="no regular file"):
         read_bytes(tmp_path / "pipe")
+
+
+def test_the_number_of_a_thread_is_that_of_no_process():
+    """Threads take numbers from the same sequence, so a dead writer's number may be that of a thread by now."""
+    waits = threading.Event()
+    thread = threading.Thread(target=waits.wait)
+    thread.start()
+    try:
+        assert thread.native_id is not None
+        os.kill(thread.native_id, 0)  # the system answers for it
+        assert not alive(thread.native_id) and alive(os.getpid()) and alive(os.getppid())
+    finally:
+        waits.set()
+        thread.join()
 
 
 def test_what_a_dead_process_left_is_removed_and_a_living_one_keeps_its_own(tmp_path):

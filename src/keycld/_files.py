@@ -121,7 +121,9 @@ def alive(pid: int) -> bool:
         return False
     except PermissionError:
         pass
-    return True
+    # Linux answers for the number of a thread as well, but lists processes alone.
+    processes = Path("/proc")
+    return not (processes / "self").exists() or str(pid) in os.listdir(processes)
 
 
 def write_text(path: Path, text: str) -> None:
