@@ -132,7 +132,11 @@ def test_a_backward_result_does_not_hide_the_energies(run, data, tmp_path):
     folder = shutil.copytree(run, tmp_path / "run")
     backward = Protocol("long@20-backward", "test_long", 20, direction="backward", shown=2)
     save_evaluation(folder, backward.name, evaluate(Swing.right(), data, backward))
-    assert "energy" in sections(write_report(folder))
+    page = write_report(folder)
+    assert "energy" in sections(page)
+    # Rows of equal length are told apart.
+    longer = page.read_text().split('id="long"')[1].split("</section>")[0]
+    assert longer.count("<b>long@20-backward</b>") == 1
 
 
 def test_errors_far_above_the_threshold_fit_the_figure(run, tmp_path):

@@ -102,7 +102,7 @@ def potential(run: Run) -> str:
 def conservation(run: Run) -> str:
     """Show energies along roll-outs without input, and the deviation from the constraints."""
     # Results of backward predictions hold no roll-out without input.
-    found = [result for result in (run.headline, *run.long) if result and "free_kinetic" in result.arrays]
+    found = [result for result in (run.headline, *run.long.values()) if result and "free_kinetic" in result.arrays]
     if not found:
         return html.missing("energy", "Energy along a roll-out", "the model has no energies")
     result = found[-1]

@@ -206,10 +206,11 @@ def _definitions(result: Evaluation) -> str:
         "constant acceleration": "continues the <em>true</em> positions of three frames on a parabola and shows the "
         "training picture nearest to it",
     }
+    paper = " The paper’s scores are those of 20 validation recordings." if published_vpt(result.scores) else ""
     each = "; ".join(f"<b>{name}</b> {known[name]}" for name in result.scores["baselines"] if name in known)
     return html.paragraph(
         f"ε = {html.number(result.scores['epsilon'])}, from the validation set. "
-        f"Baselines without a model of the motion: {each}. The paper’s scores are those of 20 validation recordings.",
+        f"Baselines without a model of the motion: {each}.{paper}",
         "note",
     )
 
@@ -219,13 +220,14 @@ def long_horizons(run: Run) -> str:
     if not run.long:
         return html.missing("long", "Longer horizons", "no evaluation on longer recordings is stored")
     rows = []
-    for result in run.long:
+    for named, result in run.long.items():
         vpt, horizon = result.vpt, result.scores["protocol"]["horizon"]
         best = max(headline_vpt(each)["mean"] for each in result.scores["baselines"].values())
-        name = f"{horizon} frames, {horizon * result.scores['dt']:.3g} s"
+        name = f"<b>{html.text(named)}</b> {horizon} frames, {horizon * result.scores['dt']:.3g} s"
         values = [f"{vpt['mean']:.2f}", f"{vpt['median']:.2f}", f"{np.mean(vpt['frames']):.0f}", f"{best:.2f}"]
         rows.append([name, *values])
-    farthest = run.long[-1]
+    # Of equal ones the first: forward before backward, test before validation.
+    farthest = max(run.long.values(), key=lambda each: each.scores["protocol"]["horizon"])
     first, stop = farthest.scores["part"]
     error = figures.error_figure(farthest)
     save_figure(run.folder / "media" / "error-long.png", error)

@@ -51,12 +51,12 @@ class Run:
         return self.evaluations.get("test@50") or [*unseen, *self.evaluations.values()][0]
 
     @property
-    def long(self) -> list[Evaluation]:
-        """The evaluations on longer recordings than that of the headline, shortest first."""
+    def long(self) -> dict[str, Evaluation]:
+        """The evaluations on longer recordings than that of the headline, by name, shortest first."""
         if self.headline is None:
-            return []
+            return {}
         least = self.headline.scores["protocol"]["horizon"]
-        return [each for each in self.evaluations.values() if each.scores["protocol"]["horizon"] > least]
+        return {name: each for name, each in self.evaluations.items() if each.scores["protocol"]["horizon"] > least}
 
 
 class _Line(TypedDict):
