@@ -3,6 +3,7 @@
 import contextlib
 import json
 import socket
+import subprocess
 import threading
 import time
 import urllib.error
@@ -75,7 +76,12 @@ def test_a_clip_becomes_a_page_and_constants(place):
 
 def test_the_same_command_resumes_and_other_clips_need_another_run(place, capsys):
     before = (place / "run" / "data" / "train.h5").stat().st_mtime_ns
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    left = place / "run" / "data" / f".statistics.json.{dead.pid}@{socket.gethostname()}.partial"
+    left.mkdir()
     assert main(words(place, "--json")) == 0
+    assert not left.exists()
     told = capsys.readouterr()
     assert json.loads(told.out)["constants"].keys() and "clip     " not in told.err and "vision   " not in told.err
     assert (place / "run" / "data" / "train.h5").stat().st_mtime_ns == before
