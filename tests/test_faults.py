@@ -101,6 +101,19 @@ def test_what_killed_experiments_left_hidden_goes_although_they_are_done(tmp_pat
     assert not list(tmp_path.rglob(".*.partial"))
 
 
+def test_what_a_maker_left_that_was_killed_after_its_last_file_goes_when_its_data_are_used(tmp_path, monkeypatch):
+    from keycld.cli.making import data_for
+
+    dead = subprocess.Popen(["true"])
+    dead.wait()
+    monkeypatch.chdir(tmp_path)
+    folder = tmp_path / "data" / "pendulum"
+    folder.mkdir(parents=True)
+    (folder / "train.h5").touch()
+    (folder / f".statistics.json.{dead.pid}@{os.uname().nodename}.partial").mkdir()
+    assert data_for("pendulum") == "pendulum" and os.listdir(folder) == ["train.h5"]
+
+
 def test_a_bench_run_that_was_killed_before_its_verdict_gets_one(tmp_path, monkeypatch):
     import keycld.training
     from keycld.benchmarks import Place, suite_named

@@ -6,11 +6,11 @@ from pathlib import Path
 
 def data_for(name: str) -> str:
     """Return a data set's name or folder; the data of a known system are made under `data/` first if missing."""
-    from keycld.data import unfinished
+    from keycld.data import finished
     from keycld.systems import names
 
     folder = Path("data") / name
-    if name in names() and (unfinished(folder) or not (folder / "train.h5").exists()):
+    if name in names() and not finished(folder):
         print(f"no complete data for {name} yet: making data/{name}", file=sys.stderr)
         from keycld.cli.data import make
 

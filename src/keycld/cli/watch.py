@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import tyro
 
 from keycld._errors import KeycldError
-from keycld._files import remove_orphans, write_text
+from keycld._files import write_text
 from keycld._records import read_json
 from keycld.cli.alternatives import AUTO, COMPARISON, NOT_IDENTIFIABLE, alternatives_table, compare
 
@@ -217,17 +217,14 @@ def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, optio
     Raises:
         KeycldError: as `import_clip`, which leaves nothing.
     """
-    from keycld.data import import_clip, open_data, unfinished
+    from keycld.data import finished, import_clip, open_data
 
     folder = run / "data"
-    if unfinished(folder) or not (folder / "train.h5").exists():
+    if not finished(folder):
         made = import_clip(clips, folder, constraints=mechanism, size=size, **options)
         counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
         crop = " ".join(map(str, made.crop))
         print(f"clip         {made.fps:g} frames/s, crop {crop}, frames: {counts}", flush=True)
-    else:
-        # The import may have been killed after its last file was there.
-        remove_orphans(folder)
     return open_data(folder)
 
 

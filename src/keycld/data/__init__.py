@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from keycld.data.format.check import check as check
     from keycld.data.format.derived import with_derivative as with_derivative
     from keycld.data.format.derived import with_pictures as with_pictures
+    from keycld.data.format.folder import finished as finished
     from keycld.data.format.folder import read_statistics as read_statistics
     from keycld.data.format.folder import sha256 as sha256
-    from keycld.data.format.folder import unfinished as unfinished
     from keycld.data.format.hdf5 import open_file as open_file
     from keycld.data.format.reading import read as read
     from keycld.data.format.trajectories import Trajectories as Trajectories
@@ -72,6 +72,7 @@ __all__ = [
     "camera_frames",
     "check",
     "clip_file",
+    "finished",
     "image_statistics",
     "import_clip",
     "import_suite",
@@ -85,7 +86,6 @@ __all__ = [
     "resident",
     "sha256",
     "show",
-    "unfinished",
     "with_derivative",
     "with_pictures",
     "write",

@@ -5,7 +5,7 @@ import json
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
-from keycld._files import write_text
+from keycld._files import remove_orphans, write_text
 from keycld._records import Name, read_json
 
 PARTIAL = ".partial"
@@ -54,6 +54,14 @@ class _Statistics(TypedDict):
 def unfinished(folder: Path) -> bool:
     """Tell whether the making of the data in a folder was interrupted."""
     return (folder / PARTIAL).exists() and not (folder / _STATISTICS).exists()
+
+
+def finished(folder: Path) -> bool:
+    """Tell whether a folder holds finished data; hidden files of a maker that was killed after its last one go."""
+    if unfinished(folder) or not (folder / "train.h5").exists():
+        return False
+    remove_orphans(folder)
+    return True
 
 
 def sha256(path: Path) -> str:
