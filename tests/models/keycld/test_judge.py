@@ -71,6 +71,27 @@ def test_a_right_law_passes_however_much_the_keypoints_err_and_however_little_th
     assert judged(0.0, time) is None
 
 
+@pytest.mark.parametrize(("lost", "passes"), [(2, True), (6, False)])
+def test_a_twentieth_of_the_recordings_may_be_lost(judged, lost, passes):
+    many = np.tile(swings(5.0, 0.02), (7, 1, 1))
+    many[:lost, FRAMES // 2 :, 0] += 0.5
+    assert (judged(16.0, many) is None) == passes
+
+
+def test_a_slow_motion_is_judged_on_longer_stretches(monkeypatch, recordings):
+    """x'' = −x with errors of keypoints that last: 2 s are nearly a parabola, 6 s are not."""
+
+    def observe(model, data, count, first):
+        frames = FRAMES if count == judge.FITTED else 3 * FRAMES
+        time, phase = DT * np.arange(frames), np.arange(6)[:, None]
+        x = 0.6 * np.sin(time + phase) + 0.15 * PIXEL * np.sin(1.7 * time + 2 * phase)
+        return jnp.asarray(observed(x, 0 * x, 0.0), jnp.float32), jnp.zeros((6, 0))
+
+    monkeypatch.setattr(judge, "observed_keypoints", observe)
+    assert judge_dynamics(cart(1.0), recordings, {}, worst=0.1) is None
+    assert "no law was found" in judge_dynamics(cart(0.5), recordings, {}, worst=0.1)
+
+
 def test_errors_of_keypoints_are_recognised_without_a_law():
     """Independent ones by their scatter, lasting ones along a pendulum's rod by its length; each to a tenth."""
     law = cart(1.0).law

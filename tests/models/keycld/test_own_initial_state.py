@@ -1,5 +1,7 @@
 """Recordings whose law has parameters of its own: they are inferred from the given frames and kept in the state."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -22,7 +24,7 @@ from keycld.mechanics.forces.anchors import Anchors
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.models import Scene, config_for
 from keycld.models.keycld import prepare
-from keycld.models.keycld.identify import Tracks, Tried, refit
+from keycld.models.keycld.identify import Tracks, Tried, identify, refit
 from keycld.models.keycld.losses import SmoothedLoss
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
 from keycld.systems import get
@@ -168,6 +170,19 @@ def test_the_prior_of_masses_belongs_to_the_law_of_the_model(monkeypatch):
     assert float(stiffness / jnp.exp(mean[2])) == pytest.approx(2 / np.exp(np.mean(np.log(mass))), rel=0.03)
 
 
+def observed(error):
+    """Return places, masses, and tracks of 24 recordings with errors of their positions."""
+    place, mass, _, paths = recordings(24, 80, 0)
+    seen = jnp.asarray(paths + error * np.random.default_rng(1).normal(size=paths.shape), jnp.float32)
+    return place, mass, Tracks(seen, jnp.zeros((24, 0)), DT, None)
+
+
+def guessed(place, factor):
+    """Return a first guess of own parameters and a wide prior around it."""
+    numbers = jnp.asarray(np.column_stack([place, factor, np.zeros(len(factor))]), jnp.float32)
+    return Own(numbers, numbers, jnp.diag((1e-3 / jnp.array([0.3, 0.3, 0.5, 0.5])) ** 2))
+
+
 @pytest.mark.parametrize(("stiffness", "strength"), [(2.9, 2.1), (0.02, 5.0)])
 def test_a_term_whose_part_places_take_is_dropped(stiffness, strength):
     """Next to a point outside the line, each recording has a spring of its own softness. There is none.
@@ -175,15 +190,21 @@ def test_a_term_whose_part_places_take_is_dropped(stiffness, strength):
     The fit begins where places are a unit from that point, and frequencies are right; then also where the point does
     all that the springs should.
     """
-    place, mass, _, paths = recordings(24, 80, 0)
-    seen = jnp.asarray(paths + 3e-4 * np.random.default_rng(1).normal(size=paths.shape), jnp.float32)
+    place, mass, tracks = observed(3e-4)
     both = on_a_line(
         springs=Springs(jnp.array([[stiffness]])), anchors=Anchors(jnp.array([strength]), jnp.zeros((1, 2)))
     )
-    factor = np.log(mass * (stiffness + strength) / 2)
-    numbers = np.column_stack([place + np.array([1.0, 0.0]), factor, np.zeros(24)])
-    precision = jnp.diag((1e-3 / jnp.array([0.3, 0.3, 0.5, 0.5])) ** 2)
-    own = Own(jnp.asarray(numbers, jnp.float32), jnp.asarray(numbers, jnp.float32), precision)
-    fitted = refit(both, Tracks(seen, jnp.zeros((24, 0)), DT, None, own=own), tried=Tried())
+    begin = guessed(place + np.array([1.0, 0.0]), np.log(mass * (stiffness + strength) / 2))
+    fitted = refit(both, dataclasses.replace(tracks, own=begin), tried=Tried())
     assert terms_of(fitted.dynamics.law).keys() == {"springs"}
     assert float(fitted.rms) < 3.5e-4
+
+
+def test_the_energy_that_explains_most_alone_is_found():
+    """All terms together, from nothing, end where a fixed point beside the line does a part of what springs do."""
+    _, _, tracks = observed(1e-3)
+    begin = guessed(np.mean(tracks.x, axis=1), np.zeros(24))
+    tried = Tried(kinds=("springs", "anchors"))
+    found = identify(on_a_line(), dataclasses.replace(tracks, own=begin), pixel=2 / 32, tried=tried)
+    assert terms_of(found.dynamics.law).keys() == {"springs"}
+    assert found.rms < 1.1e-3

@@ -12,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from keycld.mechanics import (
     AbstractDissipationTerm,
+    AbstractPotentialTerm,
     ConstrainedLagrangian,
     Fitted,
     MechanicalDynamics,
@@ -165,13 +166,27 @@ def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tr
 def _with_everything(
     affine: Fitted, tracks: Tracks, some: slice, tried: tuple[str, ...] | None, *, good: float
 ) -> Fitted:
-    """Fit all terms that are tried to some of the recordings: from the affine fit of all if its error is small."""
-    kinds = _kinds(tried)
+    """Fit all terms that are tried to some of the recordings.
+
+    The fit begins from the affine one of all recordings if its error is small, otherwise from nothing. Where motions
+    have own parameters, it begins from the one potential energy that explains most alone: own parameters follow any
+    law a part of the way, and from there no fit of all terms finds the way back.
+    """
+    kinds, few = _kinds(tried), tracks[some]
+    if tracks.own is not None:
+        energies = [kind for kind in kinds if issubclass(term_kinds()[kind], AbstractPotentialTerm)]
+        alone = [_identified(affine.dynamics, each, few) for each in ((), *((kind,) for kind in energies))]
+        return _fitted_more(min(alone, key=lambda fitted: float(fitted.cost)), kinds, few)
     if affine.rms > good:
-        return _identified(affine.dynamics, kinds, tracks[some])
-    law = with_kinds(_lagrangian(affine.dynamics), kinds, key=jax.random.key(0))
-    begin = jax.tree.map(lambda part: part[some], (affine.initial, affine.own))
-    return _fitted(_with_law(affine.dynamics, law), tracks[some], affine._replace(initial=begin[0], own=begin[1]))
+        return _identified(affine.dynamics, kinds, few)
+    return _fitted_more(affine._replace(initial=jax.tree.map(lambda part: part[some], affine.initial)), kinds, few)
+
+
+def _fitted_more(fitted: Fitted, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
+    """Fit the terms of a fitted law and those of further kinds together, from where they are."""
+    law = _lagrangian(fitted.dynamics)
+    further = [kind for kind in kinds if kind not in terms_of(law)]
+    return _fitted(_with_law(fitted.dynamics, with_kinds(law, further, key=jax.random.key(0))), tracks, fitted)
 
 
 def _kinds(tried: tuple[str, ...] | None) -> tuple[str, ...]:
@@ -192,7 +207,8 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     """Fit the parameters of given dynamics to keypoints.
 
     Where some motions were lost or diverged, because the first frames show their velocities too badly for the whole of
-    a recording, growing parts are fitted as in `identify`: lost motions say nothing true of the parameters.
+    a recording, growing parts are fitted as in `identify`: lost motions say nothing true of the parameters. Motions
+    with own parameters are fitted first, to growing parts and with the given law.
 
     A potential energy of free form gives way to forces of known kinds, identified anew, where these explain the
     keypoints about as well: errors of earlier keypoints may have hidden them.
@@ -202,9 +218,10 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
         tracks: of all recordings.
         tried: judge the terms of V and R again: drop those that are not worth enough, as in `identify`; None: keep all.
     """
-    fitted = _fitted(dynamics, tracks)
+    # Own parameters begin far from where they end, and those of the law must not follow them there.
+    fitted = _fitted(dynamics, tracks, None if tracks.own is None else explain(dynamics, tracks))
     # Errors of a motion that diverged are no numbers.
-    if not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors):
+    if tracks.own is None and not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors):
         fitted = min(fitted, _climb(dynamics, tracks), key=lambda each: float(each.cost))
     if tried is not None and _LAST_RESORT in terms_of(_lagrangian(dynamics)):
         known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=_kinds(tried.kinds)))
