@@ -20,6 +20,9 @@ def train(
     settings: ModelConfig,
     seed: int | None = None,
     devices: int | None = None,
+    coordinator: str | None = None,
+    processes: int | None = None,
+    process: int | None = None,
     minutes: float | None = None,
     out: Path | None = None,
     constraints: Annotated[str | None, tyro.conf.arg(aliases=["--mechanism"])] = None,
@@ -41,7 +44,11 @@ def train(
         preset: The whole recipe; by default fast.
         settings: Fields of the preset.
         seed: Seed of weights and data order; by default 0. Same seed, machine and settings: same bits.
-        devices: Devices that share the clips of each step; by default 1.
+        devices: Devices that share the clips of each step, of each process; by default 1.
+        coordinator: ADDRESS:PORT of the first of several processes that train one model, also on several machines;
+            auto: Slurm, Open MPI or Kubernetes say it. Start the same command in all of them.
+        processes: How many processes there are.
+        process: The number of this one, from 0.
         minutes: Shorten the recipe so that its steps take this time on this machine; by default it is taken whole.
         out: Run folder; by default runs/DATA-MODEL-PRESET-SEED.
         constraints: TOML file with keypoints and constraints, or the name of a mechanism (pendulum, double-pendulum,
@@ -54,9 +61,13 @@ def train(
     """
     from keycld.cli.making import data_for
     from keycld.data import open_data
-    from keycld.training import parse_config
+    from keycld.training import join, parse_config
     from keycld.training import train as train_model
 
+    if coordinator is not None:
+        join(coordinator, processes, process)
+    elif processes is not None or process is not None:
+        raise KeycldError("--processes and --process need --coordinator ADDRESS:PORT, where the processes meet.")
     saved = None if config is None else parse_config(config)
     if saved is not None:
         data, seed = data or saved.data, saved.seed if seed is None else seed

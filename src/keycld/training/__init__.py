@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from keycld.training.packaged import pack as pack
     from keycld.training.packaged import pretrained as pretrained
     from keycld.training.packaged import run_folder as run_folder
+    from keycld.training.processes import join as join
     from keycld.training.run_files import RunConfig as RunConfig
     from keycld.training.run_files import environment as environment
     from keycld.training.run_files import parse_config as parse_config
@@ -29,6 +30,7 @@ __all__ = [
     "RunConfig",
     "environment",
     "finished",
+    "join",
     "load_model",
     "load_run",
     "pack",

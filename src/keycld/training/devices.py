@@ -23,7 +23,7 @@ class Devices:
 
     All of them hold the parameters, the optimiser's state and the resident trajectories. A step is one program for the
     whole batch, which XLA divides, so that terms which couple clips are those of one device, up to rounding. What
-    happens between steps (least-squares fits, cached keypoints, scores) happens on the first device alone.
+    happens between steps (least-squares fits, cached keypoints, scores) happens on the first device of each process.
 
     Attributes:
         mesh: None: one device, and nothing is moved or divided.
@@ -95,10 +95,10 @@ def _on_all(leaf: Any, whole: NamedSharding) -> Any:
 
 
 def use_devices(count: int) -> Devices:
-    """Return the first devices of this machine.
+    """Return the first devices of this machine, or of each process that has joined the training.
 
     Args:
-        count: how many.
+        count: how many of each process.
 
     Raises:
         KeycldError: there are fewer.
@@ -111,4 +111,7 @@ def use_devices(count: int) -> Devices:
             f"--devices is a number from 1 to {len(found)}, those of this machine ({kind}), not {count}: take "
             f"fewer{how}."
         )
-    return Devices() if count == 1 else Devices(Mesh(np.array(found[:count]), (_CLIPS,)))
+    if count == jax.process_count() == 1:
+        return Devices()
+    each = [[d for d in jax.devices() if d.process_index == k][:count] for k in range(jax.process_count())]
+    return Devices(Mesh(np.concatenate(each), (_CLIPS,)))

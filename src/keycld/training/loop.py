@@ -28,6 +28,7 @@ from keycld.training.checkpoints import (
     save_checkpoint,
 )
 from keycld.training.devices import Devices
+from keycld.training.processes import agreed
 from keycld.training.run_files import Metrics, write_verdict
 from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
@@ -225,7 +226,7 @@ class _Trainer:
                 chunk = min(chunk, stage.every - done % stage.every)
                 # Before the step and not after the last one, so that a run which resumes here repeats it.
                 if done and done % stage.every == 0:
-                    self.model, self.data = stage.refresh(self._whole(current, rest), self.data)
+                    self.model, self.data = _changed(stage.refresh, self._whole(current, rest), self.data)
                     current, rest = refreshed(stage, self.model, current)
             traced = training.profile and dispatches == 1
             with self._profiler(stage) if traced else _NOTHING:
@@ -347,7 +348,7 @@ def _best(
     """
     found = []
     for number, model in enumerate(models):
-        prepared, resident = (model, data) if stage.prepare is None else stage.prepare(model, data)
+        prepared, resident = (model, data) if stage.prepare is None else _changed(stage.prepare, model, data)
         progress, rest = initial_progress(stage, prepared)
         if len(models) == 1:
             return progress, rest, resident
@@ -363,6 +364,15 @@ def _best(
         found.append((score if sound else np.inf, progress, rest, resident))
     _, progress, rest, resident = min(found, key=lambda candidate: candidate[0])
     return progress, rest, resident
+
+
+def _changed(
+    change: Callable[[Any, Resident], tuple[Any, Resident]], model: Any, data: Resident
+) -> tuple[Any, Resident]:
+    """Change model and data between steps, in all processes to the same bits."""
+    model, data = change(model, data)
+    model, cached = agreed((model, data.cached))
+    return model, _with_cached(data, cached)
 
 
 def _clips(stage: Stage, data: Resident) -> tuple[bool, int]:

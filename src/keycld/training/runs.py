@@ -2,6 +2,7 @@
 
 import contextlib
 import dataclasses
+import json
 import math
 import shlex
 import sys
@@ -25,6 +26,7 @@ from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays,
 from keycld.training.devices import use_devices
 from keycld.training.loop import STEPS_PER_DISPATCH, Training, train_stages
 from keycld.training.memory import keep_freed_memory
+from keycld.training.processes import agreed_number, check_equal, leads, own_folder
 from keycld.training.run_files import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.trackers import make_tracker
 
@@ -49,13 +51,16 @@ def train(
 ) -> AbstractModel:
     """Train a model and write all results to the folder `out`; the same call resumes a killed run.
 
+    Processes that `jax.distributed` has joined make the same call and train one model; the first one writes the folder,
+    which all must see.
+
     Args:
         data: name of a system whose data set is under `data/`, or the folder of any data set.
         out: run folder.
         config: the model and its training; by default `config_for("keycld", "fast")`.
         seed: of weights and data order. Same seed, machine and settings: same bits.
-        devices: number of devices that share the clips of each step; another number may resume the run. The losses are
-            those of one device up to rounding.
+        devices: number of devices that share the clips of each step, of each process; another number may resume the
+            run. The losses are those of one device up to rounding.
         minutes: shorten the recipe so that its steps take this time on this machine (`fitting_share`); the share is
             measured once and stays that of the run.
         track: `"none"`, `"wandb"`, `"trackio"` or `"tensorboard"`.
@@ -83,6 +88,7 @@ def train(
     share = 1.0
     if minutes is not None:
         share = _known_share(folder, minutes) or fitting_share(config, scene, source.at(0), minutes, shared)
+        share = agreed_number(share)
         config = config.shortened(share)
     stages = config.stages(scene)
     for stage in stages:
@@ -111,14 +117,18 @@ def train(
         share=share,
         command=shlex.join(sys.argv),
     )
-    with locked(folder / ".lock") as mine:
-        if not mine:
-            raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
-        for each in (folder, folder / "checkpoints"):
-            if each.exists():
-                remove_orphans(each)
-        open_run(folder, run)
-        with contextlib.closing(make_tracker(track, folder, dataclasses.asdict(run))) as tracker:
+    check_equal(json.dumps(run.decides()), "settings or data")
+    with contextlib.ExitStack() as held:
+        if leads():
+            if not held.enter_context(locked(folder / ".lock")):
+                raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
+            for each in (folder, folder / "checkpoints"):
+                if each.exists():
+                    remove_orphans(each)
+            open_run(folder, run)
+        mine = held.enter_context(own_folder(folder))
+        tracker = make_tracker(track if leads() else "none", folder, dataclasses.asdict(run))
+        with contextlib.closing(tracker):
             return train_stages(
                 Training(
                     fresh=lambda k: config.build(scene, jax.random.fold_in(jax.random.key(seed), k)),
@@ -128,7 +138,7 @@ def train(
                     source=source,
                     everything=lambda: resident(before_test(dataset)),
                     validate=validation_score(dataset, threshold),
-                    folder=folder,
+                    folder=mine,
                     devices=shared,
                     seed=seed,
                     checkpoint_seconds=checkpoint_seconds,

@@ -144,7 +144,7 @@ def identify(
         selected = _climb(near.dynamics, tracks)
         if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
-            selected = min(selected, again, key=lambda fitted: float(fitted.cost))
+            selected = _cheapest([selected, again])
         if selected.cost < best.cost / (1 + tried.worth):
             best = selected
     if best.rms > _GOOD * pixel and tried.kinds is None:
@@ -157,10 +157,20 @@ def identify(
 
 
 def _identified(dynamics: MechanicalDynamics, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
-    """Fit an affine V with terms of these kinds, from nothing."""
+    """Fit an affine V with terms of these kinds, from nothing.
+
+    With own parameters the fit begins from zero forces too: a regression takes all masses for the same.
+    """
     law = with_kinds(_affine(_lagrangian(dynamics)), kinds, key=jax.random.key(0))
     x = tracks.x if tracks.own is None else jax.vmap(moved)(tracks.x, tracks.own.numbers[:, :2])
-    return _climb(_with_law(dynamics, regress_forces(law, free_leaves(law), x, tracks.u, tracks.dt)), tracks)
+    regressed = regress_forces(law, free_leaves(law), x, tracks.u, tracks.dt)
+    begins = (regressed,) if tracks.own is None else (regressed, law)
+    return _cheapest(_climb(_with_law(dynamics, each), tracks) for each in begins)
+
+
+def _cheapest(fits: Iterable[Fitted]) -> Fitted:
+    """Return the fit of least cost; one that diverged has none."""
+    return min(fits, key=lambda fitted: float(jnp.nan_to_num(fitted.cost, nan=jnp.inf)))
 
 
 def _with_everything(
@@ -175,8 +185,8 @@ def _with_everything(
     kinds, few = _kinds(tried), tracks[some]
     if tracks.own is not None:
         energies = [kind for kind in kinds if issubclass(term_kinds()[kind], AbstractPotentialTerm)]
-        alone = [_identified(affine.dynamics, each, few) for each in ((), *((kind,) for kind in energies))]
-        return _fitted_more(min(alone, key=lambda fitted: float(fitted.cost)), kinds, few)
+        alone = _cheapest(_identified(affine.dynamics, each, few) for each in ((), *((kind,) for kind in energies)))
+        return _fitted_more(alone, kinds, few)
     if affine.rms > good:
         return _identified(affine.dynamics, kinds, few)
     return _fitted_more(affine._replace(initial=jax.tree.map(lambda part: part[some], affine.initial)), kinds, few)
@@ -222,7 +232,7 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     fitted = _fitted(dynamics, tracks, None if tracks.own is None else explain(dynamics, tracks))
     # Errors of a motion that diverged are no numbers.
     if tracks.own is None and not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors):
-        fitted = min(fitted, _climb(dynamics, tracks), key=lambda each: float(each.cost))
+        fitted = _cheapest([fitted, _climb(dynamics, tracks)])
     if tried is not None and _LAST_RESORT in terms_of(_lagrangian(dynamics)):
         known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=_kinds(tried.kinds)))
         simpler = _fitted(known.dynamics, tracks)

@@ -99,6 +99,7 @@ def _unexplained(
     model: KeyCLD, data: Resident, x: jax.Array, u: jax.Array, *, worst: float, small: float
 ) -> str | None:
     """Return what the law of a model does not explain of observed keypoints `[N, T, 2K]`, or None."""
+    assert isinstance(model.dynamics, MechanicalDynamics)
     pixel = 2 / max(data.shape[2:4])
     seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)
 
