@@ -32,7 +32,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         KeycldError: `path` is a folder or a device, the folder cannot be made or written, or the disk is full.
     """
     path = Path(path)
-    with _hidden(path) as hidden:
+    with hidden_folder(path) as hidden:
         yield hidden / path.name
         sync(hidden / path.name)
         os.replace(hidden / path.name, path)
@@ -50,7 +50,7 @@ def replacing_both(path: Path, other: Path) -> Iterator[tuple[Path, Path]]:
         KeycldError: as `replacing`.
     """
     _refuse_special(other)
-    with _hidden(path) as hidden:
+    with hidden_folder(path) as hidden:
         yield hidden / path.name, hidden / other.name
         for each in (path, other):
             sync(hidden / each.name)
@@ -73,8 +73,14 @@ def replacing_both(path: Path, other: Path) -> Iterator[tuple[Path, Path]]:
 
 
 @contextlib.contextmanager
-def _hidden(path: Path) -> Iterator[Path]:
-    """Yield a new hidden folder, which goes at the end, next to the file that is to be written."""
+def hidden_folder(path: Path) -> Iterator[Path]:
+    """Yield a new hidden folder, which goes at the end, next to the file that is to be written.
+
+    Those of killed processes for the same file are removed.
+
+    Raises:
+        KeycldError: as `replacing`, also for an error of the body.
+    """
     _refuse_special(path)
     # In a hidden folder the file keeps its name and suffix, and listings of the outer folder do not show it.
     hidden = path.with_name(f".{path.name}.{os.getpid()}@{socket.gethostname()}.partial")

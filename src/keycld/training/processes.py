@@ -1,9 +1,12 @@
 """Processes that train one model together, each on its own devices, also on several machines: `jax.distributed`."""
 
+import atexit
 import contextlib
 import hashlib
 import io
+import os
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +19,7 @@ from jax.experimental import multihost_utils
 from jaxtyping import PyTree
 
 from keycld._errors import KeycldError
+from keycld._files import hidden_folder
 
 
 def join(coordinator: str, processes: int | None, process: int | None) -> None:
@@ -110,22 +114,40 @@ def own_folder(folder: Path) -> Iterator[Path]:
 
     Args:
         folder: the run folder, which all processes see.
+
+    Raises:
+        KeycldError: another process has ended.
     """
     if jax.process_count() == 1:
         yield folder
         return
-    multihost_utils.sync_global_devices("the run folder is open")
     with contextlib.ExitStack() as held:
         mine = folder
-        if not leads():
-            mine = Path(held.enter_context(tempfile.TemporaryDirectory(prefix="keycld-")))
-            if (folder / "checkpoints").exists():
-                shutil.copytree(folder / "checkpoints", mine / "checkpoints")
-        multihost_utils.sync_global_devices("every process has its checkpoint")
-        if not leads():
-            held.enter_context(contextlib.redirect_stdout(io.StringIO()))
-            held.enter_context(contextlib.redirect_stderr(io.StringIO()))
-        yield mine
+        try:
+            multihost_utils.sync_global_devices("the run folder is open")
+            if not leads():
+                mine = held.enter_context(hidden_folder(Path(tempfile.gettempdir()) / "keycld-process"))
+                if (folder / "checkpoints").exists():
+                    shutil.copytree(folder / "checkpoints", mine / "checkpoints")
+            multihost_utils.sync_global_devices("every process has its checkpoint")
+            if not leads():
+                held.enter_context(contextlib.redirect_stdout(io.StringIO()))
+                held.enter_context(contextlib.redirect_stderr(io.StringIO()))
+            yield mine
+        except jax.errors.JaxRuntimeError as error:
+            atexit.register(_leave)
+            first = str(error).strip().splitlines()[0]
+            raise KeycldError(
+                f"a process of this training has ended, or cannot be reached ({first}): start all of them again with "
+                "the same commands, which continue from the newest checkpoint."
+            ) from error
+
+
+def _leave() -> None:
+    """End this process: JAX would wait for the one that is lost, and abort."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(2)
 
 
 def _of_first(sent: bytes) -> bytes:
