@@ -23,6 +23,7 @@ from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 from keycld.models import Scene, config_for
 from keycld.models.keycld.model import KeyCLD
 from keycld.stages import muon, warmup_cosine
+from keycld.training.devices import Devices
 from keycld.training.step import initial_progress, make_step
 
 ROUNDS, STEPS, DT = 5, 10, 0.02
@@ -65,18 +66,49 @@ def prepared(frames, side, keypoints, horizon):
 def step_time(**sizes):
     """Return the time of one step, of 10 in a dispatch."""
     print(f"a step with {sizes}", file=sys.stderr, flush=True)
-    stage, model, data = prepared(**sizes)
+    return timed(*prepared(**sizes))
+
+
+def timed(stage, model, data, devices=Devices(), steps=STEPS):  # noqa: B008
+    """Return the median time of one step, of several in a dispatch."""
     progress, rest = initial_progress(stage, model)
-    run = make_step(stage, 3, 0, STEPS)
-    progress, _ = jax.block_until_ready(run((rest, data), progress))
+    run = make_step(stage, 3, 0, steps, devices)
+    fixed, progress = devices.everywhere((rest, data)), devices.everywhere(progress)
+    progress, _ = jax.block_until_ready(run(fixed, progress))
     found = []
     for _ in range(ROUNDS):
         before = time.perf_counter()
-        progress, _ = jax.block_until_ready(run((rest, data), progress))
-        found.append((time.perf_counter() - before) / STEPS)
+        progress, _ = jax.block_until_ready(run(fixed, progress))
+        found.append((time.perf_counter() - before) / steps)
     # Programs take memory maps, of which a process has 65,530.
     jax.clear_caches()
     return statistics.median(found)
+
+
+def matrix_product():
+    """Return the time of the unit."""
+    matrix = jax.random.normal(jax.random.key(0), (1024, 1024))
+    return seconds(jax.jit(jnp.matmul), matrix, matrix)
+
+
+def save_growth(plot, growth, amounts):
+    """Draw the time of a step against each size, as a multiple of its smallest value.
+
+    Args:
+        plot: PNG file.
+        growth: for each size, times by its values.
+        amounts: functions of the values that a time should be proportional to, where not the values themselves.
+    """
+    curves = []
+    for name, found in growth.items():
+        sizes = np.array(list(found))
+        amount = amounts.get(name, lambda sizes: sizes)(sizes)
+        label = f"{name}: {', '.join(map(str, sizes))}"
+        curves.append(Curve(amount / amount[0], np.array(list(found.values())), label))
+    beside = " (side: pixels)" if "side" in growth else ""
+    figure = curves_figure(curves, f"times the smallest one{beside}", "time of a step, matrix products")
+    figure.axes[0].set_ylim(bottom=0.0)
+    save_figure(plot, figure)
 
 
 def part_times():
@@ -119,8 +151,7 @@ def main():
     plot = arguments.parse_args().plot
     # A program of these sizes compiles for half a minute.
     use_compile_cache()
-    matrix = jax.random.normal(jax.random.key(0), (1024, 1024))
-    unit = seconds(jax.jit(jnp.matmul), matrix, matrix)
+    unit = matrix_product()
     result = {"bench": "step", "unit_ms": round(1e3 * unit, 2), "gflops": round(2 * 1024**3 / unit / 1e9)}
     result["parts"] = {name: round(value / unit, 2) for name, value in part_times().items()}
     growth = {
@@ -129,16 +160,8 @@ def main():
     }
     if plot:
         result["growth"] = growth
-        curves = []
-        for name, found in growth.items():
-            sizes = np.array(list(found))
-            # A picture of twice the side has four times the pixels.
-            amounts = sizes**2 if name == "side" else sizes
-            label = f"{name}: {', '.join(map(str, sizes))}"
-            curves.append(Curve(amounts / amounts[0], np.array(list(found.values())), label))
-        figure = curves_figure(curves, "times the smallest one (side: pixels)", "time of a step, matrix products")
-        figure.axes[0].set_ylim(bottom=0.0)
-        save_figure(plot, figure)
+        # A picture of twice the side has four times the pixels.
+        save_growth(plot, growth, {"side": np.square})
     else:
         result["step"] = round(step_time(**USUAL) / unit, 2)
     print(json.dumps(result))

@@ -65,7 +65,7 @@ def judge_dynamics(
 
     Slow motions show too little of the law in a short time. A law that does not pass on many recordings is judged on
     fewer and longer stretches too. Two bodies of unknown masses, in units of constant acceleration over 80 and 240
-    frames: 0.32 and 0.12 with attraction, 0.95 and 0.5 to 0.7 with springs or fixed points in its place.
+    frames: 0.2 and 0.1 with attraction, 0.6 and 0.8 with springs in its place.
 
     Measured, in units of the keypoints' own errors: 0.8 to 1.8 for right laws (spring, pendulum, cartpole, acrobot,
     slider–crank, four-bar linkage), 2.7 to 4.4 for clips of real pendulums; 6 for the acrobot without its inputs, 16
