@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from keycld._errors import KeycldError
+from keycld._lock import locked
 from keycld.models import config_for
 from keycld.training import join, load_run, train
 
@@ -29,10 +30,11 @@ hgn = config_for("hgn", "released", **SMALL)
 train(made / "mine", root / "hgn", hgn, log_every=1, checkpoint_seconds=0.0, keep=100)
 # KeyCLD after a fit between its steps, from a checkpoint of one process.
 train(made / "mine", root / "keycld", config_for("keycld", "fast", **TINY), log_every=2)
-try:
-    train(made / "mine", root / "refused", hgn, seed=int(number))
-except KeycldError as error:
-    print(error)
+for out, seed in (("refused", int(number)), ("held", 0)):
+    try:
+        train(made / "mine", root / out, hgn, seed=seed)
+    except KeycldError as error:
+        print(error)
 """
 
 
@@ -60,8 +62,9 @@ def test_two_processes_give_the_losses_of_one(tmp_path, trained):
     subprocess.run(["cp", "-r", trained / "whole", copy], check=True)
     (copy / "checkpoints" / "latest").write_text("02-joint-000004")
     port = free_port()
-    pair = [start(SCRIPT, tmp_path, trained, port, number) for number in range(2)]
-    said = [process.communicate() for process in pair]
+    with locked(tmp_path / "held" / ".lock"):
+        pair = [start(SCRIPT, tmp_path, trained, port, number) for number in range(2)]
+        said = [process.communicate() for process in pair]
     assert [process.returncode for process in pair] == [0, 0], said
     config = config_for("hgn", "released", **SMALL)
     train(trained / "mine", tmp_path / "one", config, log_every=1, checkpoint_seconds=0.0, keep=100)
@@ -74,6 +77,7 @@ def test_two_processes_give_the_losses_of_one(tmp_path, trained):
     assert load_run(copy)[1].devices == 1
     for out, _ in said:
         assert "process 1 has other settings or data than process 0: start all with the same command" in out
+    assert "another process is training in" in said[0][0] and "process 0 could not open the run" in said[1][0]
     assert "trained" not in said[1][0] and "joint" in said[0][1] and "joint" not in said[1][1]
 
 

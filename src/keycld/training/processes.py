@@ -79,6 +79,12 @@ def check_equal(text: str, what: str) -> None:
         )
 
 
+def check_first(problem: KeycldError | None) -> None:
+    """Raise in all processes what the first one met where it was alone."""
+    if agreed_number(float(problem is not None)):
+        raise problem or KeycldError("process 0 could not open the run folder, and says why.")
+
+
 def agreed(tree: PyTree) -> PyTree:
     """Return the first process's arrays, bit for bit: what each has computed for itself may differ by rounding.
 
@@ -134,8 +140,10 @@ def own_folder(folder: Path) -> Iterator[Path]:
                 held.enter_context(contextlib.redirect_stdout(io.StringIO()))
                 held.enter_context(contextlib.redirect_stderr(io.StringIO()))
             yield mine
-        except jax.errors.JaxRuntimeError as error:
+        except Exception as error:
             atexit.register(_leave)
+            if not isinstance(error, jax.errors.JaxRuntimeError):
+                raise
             first = str(error).strip().splitlines()[0]
             raise KeycldError(
                 f"a process of this training has ended, or cannot be reached ({first}): start all of them again with "
@@ -144,7 +152,7 @@ def own_folder(folder: Path) -> Iterator[Path]:
 
 
 def _leave() -> None:
-    """End this process: JAX would wait for the one that is lost, and abort."""
+    """End this process: JAX would wait for the others, which wait for this one, or abort."""
     sys.stdout.flush()
     sys.stderr.flush()
     os._exit(2)

@@ -26,7 +26,7 @@ from keycld.training.checkpoints import WEIGHTS, latest_checkpoint, load_arrays,
 from keycld.training.devices import use_devices
 from keycld.training.loop import STEPS_PER_DISPATCH, Training, train_stages
 from keycld.training.memory import keep_freed_memory
-from keycld.training.processes import agreed_number, check_equal, leads, own_folder
+from keycld.training.processes import agreed_number, check_equal, check_first, leads, own_folder
 from keycld.training.run_files import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.trackers import make_tracker
 
@@ -119,13 +119,18 @@ def train(
     )
     check_equal(json.dumps(run.decides()), "settings or data")
     with contextlib.ExitStack() as held:
+        problem = None
         if leads():
-            if not held.enter_context(locked(folder / ".lock")):
-                raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
-            for each in (folder, folder / "checkpoints"):
-                if each.exists():
-                    remove_orphans(each)
-            open_run(folder, run)
+            try:
+                if not held.enter_context(locked(folder / ".lock")):
+                    raise KeycldError(f"another process is training in {folder}: wait for it, or choose another --out.")
+                for each in (folder, folder / "checkpoints"):
+                    if each.exists():
+                        remove_orphans(each)
+                open_run(folder, run)
+            except KeycldError as error:
+                problem = error
+        check_first(problem)
         mine = held.enter_context(own_folder(folder))
         tracker = make_tracker(track if leads() else "none", folder, dataclasses.asdict(run))
         with contextlib.closing(tracker):
