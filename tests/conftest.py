@@ -39,6 +39,7 @@ LONGEST_FILES = (
     "test_resume.py",
     "test_pipeline.py",
     "test_watch.py",
+    "test_several_processes.py",
     "test_devices.py",
     "test_identify.py",
     "test_closed_loop.py",

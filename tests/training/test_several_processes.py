@@ -22,7 +22,7 @@ from keycld import KeycldError
 from keycld.models import config_for
 from keycld.training import join, train
 from scenes import TINY
-from test_processes import SMALL
+from test_several_processes import SMALL
 
 root, made, port, number = *map(Path, sys.argv[1:3]), *sys.argv[3:]
 join(f"localhost:{port}", 2, int(number))
