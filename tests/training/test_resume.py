@@ -106,6 +106,12 @@ def test_a_stage_that_fails_begins_again_with_other_weights_three_times_at_most(
         load_run(tmp_path / "run")
 
 
+def test_a_stage_as_short_as_the_trials_of_its_candidates_is_judged(whole, tmp_path):
+    _, data, _ = whole
+    with pytest.raises(KeycldError, match="the last time in stage vision: the keypoints have not found"):
+        train(data, tmp_path / "run", CONFIG.changed({"vision.worst": 0.01, "vision.trial": 6}), log_every=2)
+
+
 def test_a_run_that_began_again_is_resumed_bit_for_bit(whole, tmp_path, monkeypatch):
     _, data, _ = whole
     stages, left = FastConfig.stages, [True]

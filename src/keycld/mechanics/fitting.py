@@ -242,7 +242,8 @@ def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:
     """Return positions and velocities `[N, dim]` at frame 0 of a cubic through the first five frames."""
     window = min(5, observed.shape[1])
     powers = np.linalg.pinv(np.vander(np.arange(window), min(4, window), increasing=True))
-    x, v = (jnp.einsum("t,ntd->nd", jnp.asarray(row, observed.dtype), observed[:, :window]) for row in powers[:2])
+    rows = jnp.asarray(powers[:2], observed.dtype)
+    x, v = jnp.einsum("rt,ntd->rnd", rows, observed[:, :window], precision="highest")
     return Motion(x, v / dt)
 
 

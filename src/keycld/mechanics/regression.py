@@ -77,7 +77,9 @@ def _local_cubics(observed: Array, dt: float) -> tuple[np.ndarray, np.ndarray, n
 def _projection(jacobian: Array) -> Array:
     """Return the projection on ker DΦ in the Euclidean metric, redundant constraints included."""
     dim = jacobian.shape[1]
-    return jnp.eye(dim) - jnp.linalg.pinv(jacobian, rtol=1e-4) @ jacobian if jacobian.size else jnp.eye(dim)
+    if not jacobian.size:
+        return jnp.eye(dim)
+    return jnp.eye(dim) - jnp.matmul(jnp.linalg.pinv(jacobian, rtol=1e-4), jacobian, precision="highest")
 
 
 def _mass_basis(mass: AbstractMassMatrix) -> np.ndarray:

@@ -350,9 +350,10 @@ def _best(
     for number, model in enumerate(models):
         prepared, resident = (model, data) if stage.prepare is None else _changed(stage.prepare, model, data)
         progress, rest = initial_progress(stage, prepared)
-        if len(models) == 1:
+        # The last step is in no trial, because the terms that are logged there are judged.
+        losses, trial = [], min(stage.trial, stage.steps - 1)
+        if len(models) == 1 or trial == 0:
             return progress, rest, resident
-        losses, trial = [], min(stage.trial, stage.steps)
         progress, fixed = devices.everywhere(progress), devices.everywhere((rest, resident))
         for done in range(0, trial, STEPS_PER_DISPATCH):
             run = compiled[number % 2](min(STEPS_PER_DISPATCH, trial - done))

@@ -82,8 +82,8 @@ class VelocityPrior(eqx.Module):
             observed, mixed = self.observation**2, jnp.zeros((dim, dim))
         else:
             observed, mixed = jnp.trace(covariance[dim:, dim:]) / law.freedom, covariance[:dim, dim:]
-        size = rest @ rest
-        along = (off @ rest / (size + 1e-12))[:, None] * rest[None]
+        size = jnp.sum(rest**2)
+        along = (_matmul(off, rest) / (size + 1e-12))[:, None] * rest[None]
         parts = jnp.stack([jnp.sum(along**2, -1), jnp.sum((off - along) ** 2, -1)])
         across = (self.spread * _TIMES) ** 2
         spread = jnp.stack([across + (self.elapsed * _APART) ** 2 * size, across])
@@ -91,10 +91,15 @@ class VelocityPrior(eqx.Module):
         far = jnp.sum(parts / variance, 0)
         volume = jnp.log(variance[0]) + (law.freedom - 1) * jnp.log(variance[1])
         released = np.log(_WEIGHTS) - ((_TAIL + law.freedom) * jnp.log1p(far / _TAIL) + volume) / 2
-        moving = -((v @ v) / self.speed**2 + law.freedom * jnp.log(self.speed**2)) / 2
+        moving = -(jnp.sum(v**2) / self.speed**2 + law.freedom * jnp.log(self.speed**2)) / 2
         share = jax.nn.softmax(jnp.append(released, moving))[:-1]
         error = (_TAIL + far) / (_TAIL + law.freedom) * observed
         forward, aside = share[None] * error[None] / (error[None] + spread)
-        pull = forward @ along + aside @ (off - along)
-        carried = jnp.matmul(mixed, pull, precision="highest") / (observed + 1e-12)
+        pull = _matmul(forward, along) + _matmul(aside, off - along)
+        carried = _matmul(mixed, pull) / (observed + 1e-12)
         return State(Motion(x - carried, v - pull), state.parameters)
+
+
+def _matmul(a: Array, b: Array) -> Array:
+    """Return a·b in full float32 precision."""
+    return jnp.matmul(a, b, precision="highest")
