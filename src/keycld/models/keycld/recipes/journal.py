@@ -20,7 +20,8 @@ class JournalConfig(PublishedConfig):
     """KeyCLD as in Neurocomputing 573:127175 (2024): short roll-outs, augmentation, 40 epochs of whole trajectories.
 
     It needs three given frames: the state is at the second, its velocity a central difference. Predictions do not pull
-    Φ back to its initial value. About 0.9 million frames pass through the paper's networks: use a GPU.
+    Φ back to its initial value. About 0.9 million frames pass through the paper's networks: five minutes on an
+    NVIDIA H200, 18 hours on one CPU core.
     """
 
     sigma: float = 0.1

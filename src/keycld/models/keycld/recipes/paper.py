@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 class PaperConfig(PublishedConfig):
     """KeyCLD as in arXiv 2206.11030v1: one stage of 100 epochs, batches of one whole trajectory.
 
-    About 2.3 million frames pass through networks with four times the cost of ours: 75 minutes on the authors' GPU, a
-    day on two CPU cores. Predictions have a first velocity from a difference of two frames, and pull Φ back to its
-    initial value. `docs/deviations.md` lists the errata that are followed.
+    About 2.3 million frames pass through networks with four times the cost of ours: 75 minutes on the authors' GPU,
+    seven on an NVIDIA H200, 42 hours on one CPU core. Predictions have a first velocity from a difference of two
+    frames, and pull Φ back to its initial value. `docs/deviations.md` lists the errata that are followed.
     """
 
     unit_masses: bool = False
