@@ -199,8 +199,5 @@ def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
     """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
     frames = image.astype(jnp.float32) / 255.0
 
-    def rendered(frame: jax.Array) -> jax.Array:
-        observed = model.observe(frame)
-        return model.renderer(observed.keypoints, observed.looks)
-
-    return squared_error(jax.vmap(rendered)(frames), frames)
+    observed = model.observe_clips(frames[None])
+    return squared_error(jax.vmap(model.renderer)(observed.keypoints, observed.looks), frames)

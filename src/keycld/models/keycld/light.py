@@ -103,6 +103,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         renderer=renderer,
         initial_state=_initial_state(config),
         velocity_prior=VelocityPrior.unknown() if config.velocity_prior and not config.own_parameters else None,
+        exchange=bool(config.exchange),
     )
 
 
@@ -165,7 +166,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         patch=first.patch,
         steps=float(first.steps),
         sigma=first.sigma,
-        own=bool(config.own_parameters),
+        free=bool(config.own_parameters or config.exchange),
     )
     vision = Stage(
         name="vision",

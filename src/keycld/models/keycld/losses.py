@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.data import Clip
 from keycld.mechanics import Scalar, State
+from keycld.models.keycld.exchange import shuffled
 from keycld.models.keycld.model import AbstractKeypointModel
 from keycld.models.keycld.patches import shared_patches
 from keycld.stages import AbstractLoss, Terms
@@ -67,8 +68,9 @@ class VisionLoss(AbstractLoss):
         patch: width of these patches, image-plane units.
         steps: steps of the stage; a float, because the compiled program does not depend on floats.
         sigma: σ of b, image-plane units; less than ¾ of a heat-map cell counts as that.
-        own: recordings have places and lengths of their own, so that nothing is even: all w_i are zero, and all
-            keypoints are free.
+        free: all keypoints are free, and all w_i zero: for recordings with places and lengths of their own, where
+            nothing is even, and for parts that exchange their looks, where a keypoint is another part in each
+            recording. The keypoints of the latter are rendered in a random order.
     """
 
     heat_map: float = 1.0
@@ -81,7 +83,7 @@ class VisionLoss(AbstractLoss):
     patch: float = 0.06
     steps: float = 1000.0
     sigma: float = 0.05
-    own: bool = eqx.field(static=True, default=False)
+    free: bool = eqx.field(static=True, default=False)
 
     def __call__(
         self, model: AbstractKeypointModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
@@ -91,12 +93,14 @@ class VisionLoss(AbstractLoss):
         Args:
             model: with an estimator, a renderer and constraints.
             clips: single frames, `[B, 1, H, W, 3]` in [0, 1], or pairs for a model that knows looks.
-            key: not used.
+            key: for the order of parts that exchange their looks.
             step: step of the stage, for the weights.
         """
         assert clips.frames is not None
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
-        observed = jax.vmap(model.observe)(frames)
+        observed = jax.vmap(model.estimator)(frames)
+        if model.exchange:
+            observed = shuffled(observed, clips.frames.shape[1], key)
         x = observed.keypoints.reshape(frames.shape[0], -1)
         done = jnp.minimum(step / self.steps, 1.0)
         fixed = _ends(model, x) & (done < self.joints)
@@ -111,13 +115,13 @@ class VisionLoss(AbstractLoss):
         }
         covered, found = _found(model, observed.keypoints, rendered, frames)
         free = jnp.all(_slopes(model, x) == 0, axis=(0, 1))
-        free = jnp.ones_like(free) if self.own else free
+        free = jnp.ones_like(free) if self.free else free
         pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(covered + jnp.mean(found))
         pull = pull - self.centre * (1 - done) * jnp.sum(jnp.where(free, found, 0.0))
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
         weights = jnp.where(couples, self.coupling * growth, first + (last - first) * done)
-        weights = jnp.zeros_like(weights) if self.own else weights
+        weights = jnp.zeros_like(weights) if self.free else weights
         total = (
             terms["reconstruction"]
             + self.heat_map * terms["heat_map"]
@@ -190,8 +194,7 @@ class PredictionLoss(AbstractLoss):
         """
         assert clips.frames is not None
         batch, count, height, width, _ = clips.frames.shape
-        frames = clips.frames.reshape(-1, height, width, 3)
-        observed = jax.vmap(model.observe)(frames)
+        observed = model.observe_clips(clips.frames)
         x = observed.keypoints.reshape(batch, count, -1)
         rolled = _rolled_out(model, x, clips)
         # From each group a frame, and its own roll-out or an earlier one.

@@ -16,6 +16,7 @@ from keycld.mechanics import (
 )
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
 from keycld.models.checks import check_inputs, check_size
+from keycld.models.keycld.exchange import arranged, fitting_order
 from keycld.models.keycld.initial_state import AbstractInitialState
 from keycld.models.keycld.own_initial_state import OwnInitialState, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
@@ -35,6 +36,8 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         renderer: keypoints → frame, eq. (9).
         initial_state: keypoints of the given frames → state.
         velocity_prior: the prior of the initial velocity; None: the velocity is that of the given frames.
+        exchange: parts exchange their looks from recording to recording, and the constraints tell which keypoint is
+            which part (`exchange`).
     """
 
     estimator: AbstractEstimator
@@ -42,6 +45,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     renderer: AbstractRenderer
     initial_state: AbstractInitialState
     velocity_prior: eqx.AbstractVar[VelocityPrior | None]
+    exchange: eqx.AbstractVar[bool]
 
     @property
     def context(self) -> int:
@@ -84,8 +88,26 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         Raises:
             KeycldError: the frame does not have the size of the rendered frames.
         """
-        check_size(frame, self.renderer.size)
-        return self.estimator(frame)
+        if not self.exchange:
+            check_size(frame, self.renderer.size)
+            return self.estimator(frame)
+        return jax.tree.map(lambda part: part[0], self.observe_clips(frame[None, None]))
+
+    def observe_clips(self, frames: Float[Array, "B F H W 3"]) -> Observation:
+        """Estimate the keypoints of F frames of each of B recordings; the arrays have an axis of all B·F in front.
+
+        Where parts exchange their looks, the frames of a recording tell together which keypoint is which part.
+
+        Raises:
+            KeycldError: the frames do not have the size of the rendered frames.
+        """
+        check_size(frames[0, 0], self.renderer.size)
+        observed = jax.vmap(self.estimator)(frames.reshape(-1, *frames.shape[2:]))
+        if not self.exchange:
+            return observed
+        x = jax.lax.stop_gradient(observed.keypoints).reshape(*frames.shape[:2], -1, 2)
+        order, _ = jax.vmap(lambda x: fitting_order(self.constraint, self.initial_state.shared, x))(x)
+        return arranged(observed, order.repeat(frames.shape[1], axis=0))
 
     def keypoints(self, state: State) -> Float[Array, "K 2"]:
         """Return the positions in the state."""
@@ -110,7 +132,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         Raises:
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
-        observed = jax.vmap(self.observe)(frames)
+        observed = self.observe_clips(frames[None])
         light = None
         if isinstance(self.initial_state, OwnInitialState):
             assert isinstance(self.renderer, Renderer) and self.renderer.background is not None
@@ -155,6 +177,7 @@ class KeyCLD(AbstractKeypointModel, HasLagrangian):
     """
 
     velocity_prior: VelocityPrior | None = None
+    exchange: bool = eqx.field(static=True, default=False)
 
     @property
     def law(self) -> ConstrainedLagrangian:
@@ -172,3 +195,4 @@ class NODE2(AbstractKeypointModel):
     """Keypoints whose dynamics are a second-order neural differential equation: no energies, no constraints."""
 
     velocity_prior: None = None
+    exchange: bool = eqx.field(static=True, default=False)

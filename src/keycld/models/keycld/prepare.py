@@ -3,7 +3,6 @@
 A preparation is a function (model, resident data) → (model, resident data).
 """
 
-import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -26,6 +25,7 @@ from keycld.mechanics import (
     rough_places,
     terms_of,
 )
+from keycld.models.keycld.exchange import MOST_ORDERED, orders, shared_constants
 from keycld.models.keycld.identify import Tracks, Tried, identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
@@ -49,8 +49,6 @@ _WIDE, _EXACT = (0.3, 0.5), 1e-3
 _LOST = 5.0
 # Frames that are given, as the prior of own parameters sees them.
 _SEEN = 5
-# All orders of so many keypoints are compared: 720.
-_MOST_ORDERED = 6
 
 
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -96,22 +94,25 @@ def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
 
     Keypoints that have found their parts under each other's names cannot change places by gradients: they would have to
     leave their parts. The names are exchanged if this halves the unevenness of the constraints, which symmetric
-    mechanisms never reach. Models with one keypoint, or more than six, are returned unchanged.
+    mechanisms never reach. Models with one keypoint, or more than six, are returned unchanged, and those whose parts
+    exchange their looks.
 
     Args:
         model: during the vision stage.
         data: the training data.
     """
+    if model.exchange:
+        return model, data
     x, _ = observed_keypoints(model, data, COMPARED)
     count = x.shape[-1] // 2
-    if not 1 < count <= _MOST_ORDERED:
+    if not 1 < count <= MOST_ORDERED:
         return model, data
-    orders = jnp.array(list(itertools.permutations(range(count))))
-    uneven = _uneven_in_orders(model, x.reshape(-1, count, 2), orders)
+    choices = orders(count)
+    uneven = _uneven_in_orders(model, x.reshape(-1, count, 2), choices)
     best = jnp.argmin(uneven)
     if not uneven[best] < 0.5 * uneven[0]:
         return model, data
-    parts = model.estimator.reordered(orders[best]), model.renderer.reordered(orders[best])
+    parts = model.estimator.reordered(choices[best]), model.renderer.reordered(choices[best])
     return eqx.tree_at(lambda m: (m.estimator, m.renderer), model, parts), data
 
 
@@ -143,6 +144,7 @@ def identify_dynamics(
     """
     if not isinstance(model, KeyCLD):
         return model, data
+    model = _told_apart(model, data)
     x, u = observed_keypoints(model, data, FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
@@ -250,6 +252,16 @@ def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]
     return prepare
 
 
+def _told_apart(model: KeyCLD, data: Resident) -> KeyCLD:
+    """Return the model with the constants that tell its parts apart, where these exchange their looks."""
+    if not model.exchange:
+        return model
+    some, begin, span = _chosen(data, FITTED)
+    x = [_unnamed(model, data.image[i][k : k + span]) for i, k in zip(some, begin, strict=True)]
+    constants = shared_constants(model.constraint, np.stack(x))
+    return eqx.tree_at(lambda m: m.initial_state.constants, model, constants)
+
+
 def _report(model: KeyCLD, pixels: float) -> None:
     acting = "".join(f", {kind}" for kind in terms_of(model.law))
     for name, value in model.law.constraint_function.unknowns.items():
@@ -353,14 +365,19 @@ def _uneven_in_orders(model: Any, x: jax.Array, orders: jax.Array) -> jax.Array:
 @eqx.filter_jit
 def _observe(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
-    return jax.vmap(lambda frame: model.observe(frame).keypoints.reshape(-1))(frames)
+    return model.observe_clips(frames[None]).keypoints.reshape(len(frames), -1)
+
+
+@eqx.filter_jit
+def _unnamed(model: Any, image: jax.Array) -> jax.Array:
+    """Return the keypoints of a recording as the estimator numbers them."""
+    return jax.vmap(lambda frame: model.estimator(frame).keypoints)(image.astype(jnp.float32) / 255.0)
 
 
 @eqx.filter_jit
 def _light(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
-    keypoints = jax.vmap(lambda frame: model.observe(frame).keypoints)(frames)
-    return light_of(frames, model.renderer.background, keypoints).reshape(-1)
+    return light_of(frames, model.renderer.background, model.observe_clips(frames[None]).keypoints).reshape(-1)
 
 
 @eqx.filter_jit

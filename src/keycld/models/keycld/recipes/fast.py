@@ -102,6 +102,8 @@ class JointStage:
 
 
 _LOOKS = 4
+# Settings that stand in the records of trainings that need them alone, so that older records hold.
+_WHERE_NEEDED = ("looks", "own_parameters", "exchange")
 _FLAT = {
     **{f"vision_{name}": f"vision.{name}" for name in ("steps", "batch", "rate")},
     **{name: f"vision.{name}" for name in ("candidates", "trial")},
@@ -158,6 +160,10 @@ class FastConfig(KeyCLDConfig):
     own_parameters: bool | None = None
     """Each trajectory has a place of its own, and factors of masses and friction of its own; by default where the
     system says that these differ. Without them nothing but the constants of the constraints may differ."""
+    exchange: bool | None = None
+    """Parts exchange their looks from recording to recording, so that constraints must tell in each which keypoint is
+    which part; by default where parts look different, there are several with shared constants, and none has parameters
+    of its own."""
     velocity_prior: bool = True
     """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
     groups: int = 4
@@ -193,14 +199,15 @@ class FastConfig(KeyCLDConfig):
         own = self.model == "keycld" and self.OWN and source is not None and source.parameters_differ
         if config.own_parameters is None and own:
             config = dataclasses.replace(config, own_parameters=True)
+        told_apart = config.model == "keycld" and config.shared_constants and config.keypoints > 1 and config.phi.items
+        if config.exchange is None and config.looks and told_apart and not config.own_parameters:
+            config = dataclasses.replace(config, exchange=True)
         return config
 
     def settings(self) -> dict[str, Any]:
         """Return all fields as JSON values; what may differ by recording only where it does: older records hold."""
         found = super().settings()
-        return {
-            name: value for name, value in found.items() if name not in ("looks", "own_parameters") or value is not None
-        }
+        return {name: value for name, value in found.items() if name not in _WHERE_NEEDED or value is not None}
 
     @property
     def context(self) -> int:
