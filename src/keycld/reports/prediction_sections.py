@@ -37,7 +37,8 @@ def head(run: Run, sections: str) -> str:
     if run.metrics and "seconds" in run.metrics[-1]:
         facts.append(("training", _duration(run.metrics[-1]["seconds"])))
     line = "".join(f"<span>{html.text(name)} <b>{html.text(value)}</b></span>" for name, value in facts)
-    top = f'<p class="eyebrow">KeyCLD · what one run learned</p><h1>{html.text(system.capitalize())}</h1>'
+    name = system.rpartition("/")[2].replace("_", " ").capitalize()
+    top = f'<p class="eyebrow">KeyCLD · what one run learned</p><h1>{html.text(name)}</h1>'
     result = run.headline
     if run.failed:
         return f'<header>{top}<p class="facts">{line}</p></header>'
