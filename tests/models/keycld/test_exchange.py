@@ -1,11 +1,14 @@
 """Parts that exchange their looks from recording to recording: the constraints tell which keypoint is which part."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from keycld._errors import KeycldError
 from keycld.data import Clip
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 from keycld.models import Scene, config_for
@@ -44,6 +47,26 @@ def test_the_default_is_where_constraints_tell_several_parts_of_different_looks_
         assert config_for(model, "fast").completed(get("toy/double_pendulum")).exchange is None
     assert not model_of(exchange=False).exchange
     assert double.stages(SCENE)[0].loss.free and not fast.completed(get("toy/pendulum")).stages(SCENE)[0].loss.free
+
+
+@pytest.mark.parametrize(
+    ("model", "changes"),
+    [("keycld-nc", {}), ("keycld", {"shared_constants": False}), ("keycld", {"own_parameters": True})],
+)
+def test_it_is_refused_where_nothing_tells_the_parts_apart(model, changes):
+    config = config_for(model, "fast", exchange=True, **changes)
+    with pytest.raises(KeycldError, match="exchange needs the model keycld with looks"):
+        config.completed(get("toy/double_pendulum"))
+
+
+def test_seven_keypoints_have_too_many_orders():
+    names = tuple("abcdefg")
+    links = tuple(FixedDistance(*pair) for pair in zip(names[:-1], names[1:], strict=True))
+    chain = Constraints(names, (DistanceToPoint("a"), *links))
+    config = config_for("keycld", "fast", constraints=chain, looks=4)
+    assert config.completed().exchange is None
+    with pytest.raises(KeycldError, match="2 to 6 keypoints"):
+        dataclasses.replace(config, exchange=True).completed()
 
 
 def test_constraints_tell_the_parts_of_each_recording():

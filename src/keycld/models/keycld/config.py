@@ -13,6 +13,8 @@ if TYPE_CHECKING:
     from keycld.mechanics import Constraints
 
 MODELS = ("keycld", "keycld-nc", "node2", "fc")
+MOST_ORDERED = 6
+"""All orders of so many keypoints are compared: 720."""
 _EXAMPLE = 'keypoints = ["point"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "point"\npoint = [0, 0]\n'
 
 

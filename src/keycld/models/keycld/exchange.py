@@ -14,9 +14,6 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.vision import Observation
 
-MOST_ORDERED = 6
-"""All orders of so many keypoints are compared: 720."""
-
 Phi = Callable[[Float[Array, "dim"]], Float[Array, "n"]]
 
 

@@ -25,7 +25,8 @@ from keycld.mechanics import (
     rough_places,
     terms_of,
 )
-from keycld.models.keycld.exchange import MOST_ORDERED, orders, shared_constants
+from keycld.models.keycld.config import MOST_ORDERED
+from keycld.models.keycld.exchange import orders, shared_constants
 from keycld.models.keycld.identify import Tracks, Tried, identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD

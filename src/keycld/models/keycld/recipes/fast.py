@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from keycld._errors import KeycldError
 from keycld.models.config import ModelConfig, at_least_one
-from keycld.models.keycld.config import MODELS, KeyCLDConfig
+from keycld.models.keycld.config import MODELS, MOST_ORDERED, KeyCLDConfig
 from keycld.models.registry import register_preset
 from keycld.models.scene import Scene
 
@@ -162,8 +162,8 @@ class FastConfig(KeyCLDConfig):
     system says that these differ. Without them nothing but the constants of the constraints may differ."""
     exchange: bool | None = None
     """Parts exchange their looks from recording to recording, so that constraints must tell in each which keypoint is
-    which part; by default where parts look different, there are several with shared constants, and none has parameters
-    of its own."""
+    which part; by default where parts look different, there are two to six with shared constants, and none has
+    parameters of its own."""
     velocity_prior: bool = True
     """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
     groups: int = 4
@@ -199,9 +199,15 @@ class FastConfig(KeyCLDConfig):
         own = self.model == "keycld" and self.OWN and source is not None and source.parameters_differ
         if config.own_parameters is None and own:
             config = dataclasses.replace(config, own_parameters=True)
-        told_apart = config.model == "keycld" and config.shared_constants and config.keypoints > 1 and config.phi.items
-        if config.exchange is None and config.looks and told_apart and not config.own_parameters:
+        told_apart = bool(config.model == "keycld" and 1 < config.keypoints <= MOST_ORDERED and config.phi.items)
+        told_apart = told_apart and bool(config.looks and config.shared_constants) and not config.own_parameters
+        if config.exchange is None and told_apart:
             config = dataclasses.replace(config, exchange=True)
+        if config.exchange and not told_apart:
+            raise KeycldError(
+                f"exchange needs the model keycld with looks (--looks 4), shared constants, constraints on 2 to "
+                f"{MOST_ORDERED} keypoints and no own parameters: leave the setting out, or choose these."
+            )
         return config
 
     def settings(self) -> dict[str, Any]:
