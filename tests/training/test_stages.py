@@ -296,8 +296,9 @@ class SeesGrey(eqx.Module):
     estimator: object = eqx.field(static=True)
     renderer: Grey
 
-    def observe(self, frame):
-        return Observation(jnp.array([[jnp.mean(frame), 0.0]]), None)
+    def observe_clips(self, frames):
+        right = jnp.mean(frames.reshape(-1, 8 * 8 * 3), axis=1)
+        return Observation(jnp.stack([right, 0 * right], axis=-1)[:, None], None)
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.0])

@@ -50,9 +50,9 @@ class Observed(eqx.Module):
     velocity_prior: VelocityPrior | None
     context: int = 2
 
-    def observe(self, frame):
-        bits = jnp.round(255 * frame).astype(jnp.uint8).reshape(-1)[:8].reshape(2, 4)
-        return Observation(jax.lax.bitcast_convert_type(bits, jnp.float32)[None], None)
+    def observe_clips(self, frames):
+        bits = jnp.round(255 * frames).astype(jnp.uint8).reshape(-1, 9)[:, :8].reshape(-1, 1, 2, 4)
+        return Observation(jax.lax.bitcast_convert_type(bits, jnp.float32), None)
 
 
 def pictures(x):
