@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import keycld.systems
+from keycld import KeycldError
 from keycld.data import make_data, open_data
 from keycld.systems import AbstractMujocoSystem, Conditions, get, names, register, render
 from keycld.systems.registry import _SYSTEMS, _import_extensions
@@ -20,6 +21,7 @@ BLOCKS = re.findall(r"```(?:python|xml)\n(.*?)```", PAGE, flags=re.DOTALL)
 @pytest.fixture
 def forget(monkeypatch):
     """Systems that a test registers are unknown afterwards."""
+    names()  # a module registers its system once, when it is first imported
     monkeypatch.setattr("keycld.systems.registry._SYSTEMS", dict(_SYSTEMS))
 
 
@@ -55,6 +57,12 @@ def test_the_pages_mujoco_system(tmp_path, monkeypatch, forget):
     red = np.argwhere(image[..., 0] > image[..., 2] + 60).mean(axis=0)
     wanted = system.landmarks(run.state[0])[0]
     np.testing.assert_allclose(red[::-1] / 31.5 - 1.0, wanted * np.array([1.0, -1.0]), atol=0.05)
+
+
+def test_a_system_without_a_method_is_refused_by_name(tmp_path, monkeypatch, forget):
+    unfinished = BLOCKS[2].partition("    def sweeps")[0].replace("Bead(", "Unfinished(")
+    with pytest.raises(KeycldError, match="the system Unfinished in unfinished lacks sweeps: write what is missing"):
+        load(tmp_path, monkeypatch, "unfinished", unfinished)
 
 
 def test_an_installed_package_adds_a_system(tmp_path, monkeypatch, forget):

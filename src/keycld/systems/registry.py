@@ -6,7 +6,7 @@ import pkgutil
 from typing import TypeVar
 
 from keycld._entry_points import load_entry_points
-from keycld._errors import unknown
+from keycld._errors import KeycldError, unknown
 from keycld.systems.base import AbstractSystem
 
 ENTRY_POINTS = "keycld.systems"
@@ -20,7 +20,15 @@ def register(system: type[S]) -> type[S]:
     A file with one decorated class, in one of the folders of `keycld/systems/` or in a new one, is all that a new
     system needs. Your own code may use the decorator too, in a module that can be imported: the renderer processes
     import it again.
+
+    Raises:
+        KeycldError: the class lacks a method.
     """
+    if missing := sorted(getattr(system, "__abstractmethods__", ())):
+        raise KeycldError(
+            f"the system {system.__name__} in {system.__module__} lacks {', '.join(missing)}: write what is missing as "
+            "docs/systems.md shows, or remove the file."
+        )
     _SYSTEMS[system.name] = system()
     return system
 
