@@ -104,6 +104,7 @@ from keycld.mechanics.rigid_body import two_point_masses as two_point_masses
 from keycld.mechanics.runge_kutta import RungeKutta as RungeKutta
 from keycld.mechanics.second_order import SecondOrderNetwork as SecondOrderNetwork
 from keycld.mechanics.shake import Shake as Shake
+from keycld.mechanics.singular import is_singular as is_singular
 from keycld.mechanics.state import AbstractDynamics as AbstractDynamics
 from keycld.mechanics.state import AbstractField as AbstractField
 from keycld.mechanics.state import Motion as Motion
@@ -191,6 +192,7 @@ __all__ = [
     "fit_joint_law",
     "fit_motions",
     "integrator_named",
+    "is_singular",
     "joining_velocity",
     "joint_positions",
     "joints_of",

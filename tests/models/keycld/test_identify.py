@@ -8,10 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld.data import Trajectories, resident
-from keycld.mechanics import Constraints, DistanceToPoint, Fitted, Motion, OnLine, terms_of, with_kinds
+from keycld._errors import KeycldError
+from keycld.data import Resident, Trajectories, resident
+from keycld.mechanics import (
+    Constraints,
+    DistanceToPoint,
+    Fitted,
+    FixedDistance,
+    Motion,
+    OnLine,
+    terms_of,
+    with_kinds,
+)
 from keycld.models import Scene, config_for
-from keycld.models.keycld import identify
+from keycld.models.keycld import identify, prepare
 from keycld.models.keycld.identify import Tracks, Tried
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.vision import AbstractEstimator, Observation
@@ -136,3 +146,17 @@ def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch
     monkeypatch.setattr(identify, "_climb", lambda *_: nothing)
     monkeypatch.setattr(identify, "_fitted", lambda *_: nothing)
     assert identify.refit(model.dynamics, tracks, tried=Tried()) is nothing
+
+
+def test_singular_constraints_end_the_training_with_a_sentence(monkeypatch):
+    """Both ends of a dumbbell that turns around a pivot between them, held by distances alone."""
+    angle = np.linspace(0, 3, 30).reshape(3, 10)
+    ends = np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, :, None] * np.array([0.5, -0.35])[:, None]
+    x = jnp.asarray(ends.reshape(3, 10, 4), jnp.float32)
+    monkeypatch.setattr(prepare, "observed_keypoints", lambda *_: (x, jnp.zeros((3, 0))))
+    rods = Constraints(("a", "b"), (DistanceToPoint("a"), DistanceToPoint("b"), FixedDistance("a", "b")))
+    scene = Scene(height=16, width=16, inputs=0, frames=10, dt=0.05, trajectories=3)
+    model = config_for("keycld", "fast", width=8, constraints=rods).build(scene, jax.random.key(0))
+    data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
+    with pytest.raises(KeycldError, match="the constraints are singular where the keypoints are"):
+        prepare.identify_dynamics(model, data)

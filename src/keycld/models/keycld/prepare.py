@@ -21,6 +21,7 @@ from keycld.mechanics import (
     Motion,
     Own,
     State,
+    is_singular,
     moved,
     rough_places,
     terms_of,
@@ -142,6 +143,9 @@ def identify_dynamics(
         data: the training data.
         terms: kinds of the terms of V and R; None: those that the motion asks for.
         tried: which kinds are tried, and what they must be worth; None: all.
+
+    Raises:
+        KeycldError: the constraints are singular at most observed keypoints (`is_singular`).
     """
     if not isinstance(model, KeyCLD):
         return model, data
@@ -149,6 +153,12 @@ def identify_dynamics(
     x, u = observed_keypoints(model, data, FITTED)
     model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
+    if is_singular(model.law.constraint_function, x.reshape(-1, x.shape[-1])[:: max(1, x.shape[1] // 2)]):
+        raise KeycldError(
+            "the constraints are singular where the keypoints are: three of them in one line, or two in line with "
+            "their pivot, are not held by distances alone. Take one keypoint less, or a relation that says more "
+            "(docs/constraints.md)."
+        )
     tracks = _tracks(model, x, u, data.dt, tried)
     found = identify(model.dynamics, tracks, pixel=pixel, terms=terms, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, found.dynamics), x)

@@ -1,0 +1,40 @@
+"""Constraints whose first derivative allows motions that they forbid, so that eq. (6) is wrong."""
+
+import jax
+import numpy as np
+from jaxtyping import Array, Float
+
+from keycld.mechanics.constraints import AbstractConstraint
+
+# Singular values of DΦ, with rows of length 1, below this are zero: observed positions are off by a hundredth.
+_ZERO = 0.05
+# Second derivatives along allowed velocities, as a share of the largest of all, that are no error of positions.
+_BENT = 0.2
+
+
+def is_singular(phi: AbstractConstraint, x: Float[Array, "M dim"]) -> bool:
+    """Return whether Φ is singular at most of some positions.
+
+    Where rows of DΦ depend on each other, λᵀDΦ = 0, a velocity v with DΦ v = 0 is possible only if also
+    λᵀ⟨D²Φ, v⟩v = 0. A constraint that repeats others passes. Three points in one line, held by distances alone, do not:
+    to first order each may turn by itself, so eq. (6) lets them.
+
+    Args:
+        phi: Φ.
+        x: positions, image-plane units.
+    """
+    slopes = np.asarray(jax.vmap(jax.jacfwd(phi))(x), float)
+    if not slopes.shape[1]:
+        return False
+    bends = np.asarray(jax.vmap(jax.hessian(phi))(x), float)
+    length = np.maximum(np.linalg.norm(slopes, axis=-1), 1e-9)
+    slopes, bends = slopes / length[..., None], bends / length[..., None, None]
+    return bool(np.mean([_bent(*each) for each in zip(slopes, bends, strict=True)]) > 0.5)
+
+
+def _bent(slopes: np.ndarray, bends: np.ndarray) -> bool:
+    left, values, right = np.linalg.svd(slopes)
+    rank = int(np.sum(values > _ZERO))
+    free = right[rank:]
+    along = np.einsum("ik,iab,ma,nb->kmn", left[:, rank:], bends, free, free)
+    return along.size > 0 and float(np.abs(along).max()) > _BENT * float(np.abs(bends).max())
