@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from keycld.control.base import spread
 from keycld.control.lqr import Weights, frame_step
-from keycld.mechanics import AbstractDynamics, solve_positive
+from keycld.mechanics import AbstractDynamics, matmul, solve_positive
 
 _GUESSES = ((0.4, 0.0), (0.6, math.pi), (0.9, 0.0), (1.2, math.pi))
 """Frequencies (Hz) and phases of the oscillating inputs that the search is initialised with."""
@@ -188,14 +188,14 @@ class Planner(eqx.Module):
                 a, b, z, w, running = each
                 qz = running * (z - self.goal) + _times(a.T, slope)
                 qw = effort * w + _times(b.T, slope)
-                ba = _product(b.T, bend)
-                qww = _product(ba, b) + (effort + damping) * jnp.eye(w.shape[0])
-                qwz = _product(ba, a)
+                ba = matmul(b.T, bend)
+                qww = matmul(ba, b) + (effort + damping) * jnp.eye(w.shape[0])
+                qwz = matmul(ba, a)
                 feed = -solve_positive(qww, qw)
                 gain = -jax.vmap(solve_positive, in_axes=(None, 1), out_axes=1)(qww, qwz)
                 slope = qz + _times(gain.T, _times(qww, feed) + qw) + _times(qwz.T, feed)
-                bend = jnp.diag(running) + _product(a.T, _product(bend, a))
-                bend = bend + _product(gain.T, _product(qww, gain) + qwz) + _product(qwz.T, gain)
+                bend = jnp.diag(running) + matmul(a.T, matmul(bend, a))
+                bend = bend + matmul(gain.T, matmul(qww, gain) + qwz) + matmul(qwz.T, gain)
                 return (slope, 0.5 * (bend + bend.T)), (feed, gain)
 
             end = (final * (z[-1] - self.goal), jnp.diag(final))
@@ -229,16 +229,12 @@ class Planner(eqx.Module):
 
         def backward(bend, each):
             a, b = each
-            ba = _product(b.T, bend)
-            gain = jax.vmap(solve_positive, in_axes=(None, 1), out_axes=1)(effort + _product(ba, b), _product(ba, a))
-            bend = cost + _product(a.T, _product(bend, a)) - _product(_product(ba, a).T, gain)
+            ba = matmul(b.T, bend)
+            gain = jax.vmap(solve_positive, in_axes=(None, 1), out_axes=1)(effort + matmul(ba, b), matmul(ba, a))
+            bend = cost + matmul(a.T, matmul(bend, a)) - matmul(matmul(ba, a).T, gain)
             return 0.5 * (bend + bend.T), gain
 
         return jax.lax.scan(backward, ahead, (a, b[:, :, act]), reverse=True)[1]
-
-
-def _product(a: Array, b: Array) -> Array:
-    return jnp.matmul(a, b, precision="highest")
 
 
 def _times(a: Array, b: Array) -> Array:

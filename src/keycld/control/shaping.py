@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.control.base import AbstractController
-from keycld.mechanics import ConstrainedLagrangian
+from keycld.mechanics import ConstrainedLagrangian, matmul
 
 
 class Energies(NamedTuple):
@@ -67,8 +67,3 @@ def input_matrix(law: ConstrainedLagrangian, x: Float[Array, "dim"]) -> Float[Ar
     if law.input_matrix is None:
         raise KeycldError("energy shaping needs an input, and this law of motion has none: train on data with inputs.")
     return law.input_matrix(x)
-
-
-def matmul(a: Array, b: Array) -> Array:
-    """Return a·b in full float32 precision."""
-    return jnp.matmul(a, b, precision="highest")

@@ -69,6 +69,7 @@ from keycld.mechanics.joint_coordinates import joints_of as joints_of
 from keycld.mechanics.lagrangian import AbstractLagrangian as AbstractLagrangian
 from keycld.mechanics.lagrangian import AbstractLaw as AbstractLaw
 from keycld.mechanics.lagrangian import ConstrainedLagrangian as ConstrainedLagrangian
+from keycld.mechanics.linear import matmul as matmul
 from keycld.mechanics.linear import solve_definite as solve_definite
 from keycld.mechanics.linear import solve_positive as solve_positive
 from keycld.mechanics.masses import AbstractMassMatrix as AbstractMassMatrix
@@ -198,6 +199,7 @@ __all__ = [
     "joints_of",
     "lengths_of",
     "load_constraints",
+    "matmul",
     "mechanisms",
     "momentum",
     "moved",

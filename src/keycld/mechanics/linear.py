@@ -116,6 +116,11 @@ def solve_definite(a: Float[Array, "n n"], b: Float[Array, "n"]) -> Float[Array,
     return jax.scipy.linalg.solve(a, b, assume_a="pos")
 
 
+def matmul(a: Array, b: Array) -> Array:
+    """Return a·b in full float32 precision, which a GPU's matrix units do not have by default (TF32)."""
+    return jnp.matmul(a, b, precision="highest")
+
+
 def times(matrix: Float[Array, "n m"], vector: Float[Array, "m"]) -> Float[Array, "n"]:
     """Multiply a matrix and a vector as a sum: full float32 on every device, fused with its neighbours."""
     return jnp.sum(matrix * vector[None, :], axis=1)

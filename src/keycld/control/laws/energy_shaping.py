@@ -10,8 +10,8 @@ from jaxtyping import Array, Float
 
 from keycld.control.base import Belief, spread
 from keycld.control.registry import AbstractControlLaw, Problem, check_positive, register_law
-from keycld.control.shaping import AbstractShaping, input_matrix, matmul
-from keycld.mechanics import ConstrainedLagrangian, solve_positive
+from keycld.control.shaping import AbstractShaping, input_matrix
+from keycld.mechanics import ConstrainedLagrangian, matmul, solve_positive
 
 _SINGULAR = 0.05
 """ε: an input whose effect G is below this share of its effect at the goal counts as without effect."""

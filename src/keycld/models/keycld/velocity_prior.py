@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, State
+from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, State, matmul
 
 # ν. Observation errors have heavy tails: on acrobot and cartpole their quantiles are those of Student's t with 4.
 _TAIL = 4
@@ -83,7 +83,7 @@ class VelocityPrior(eqx.Module):
         else:
             observed, mixed = jnp.trace(covariance[dim:, dim:]) / law.freedom, covariance[:dim, dim:]
         size = jnp.sum(rest**2)
-        along = (_matmul(off, rest) / (size + 1e-12))[:, None] * rest[None]
+        along = (matmul(off, rest) / (size + 1e-12))[:, None] * rest[None]
         parts = jnp.stack([jnp.sum(along**2, -1), jnp.sum((off - along) ** 2, -1)])
         across = (self.spread * _TIMES) ** 2
         spread = jnp.stack([across + (self.elapsed * _APART) ** 2 * size, across])
@@ -95,11 +95,6 @@ class VelocityPrior(eqx.Module):
         share = jax.nn.softmax(jnp.append(released, moving))[:-1]
         error = (_TAIL + far) / (_TAIL + law.freedom) * observed
         forward, aside = share[None] * error[None] / (error[None] + spread)
-        pull = _matmul(forward, along) + _matmul(aside, off - along)
-        carried = _matmul(mixed, pull) / (observed + 1e-12)
+        pull = matmul(forward, along) + matmul(aside, off - along)
+        carried = matmul(mixed, pull) / (observed + 1e-12)
         return State(Motion(x - carried, v - pull), state.parameters)
-
-
-def _matmul(a: Array, b: Array) -> Array:
-    """Return a·b in full float32 precision."""
-    return jnp.matmul(a, b, precision="highest")
