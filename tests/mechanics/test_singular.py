@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, is_singular
+from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, OnLine, is_singular, turns_within
 from keycld.systems import AbstractMechanism, Conditions, get, names
 
 RODS = (DistanceToPoint("a"), DistanceToPoint("b"), FixedDistance("a", "b"))
@@ -55,3 +55,18 @@ def test_no_system_is_singular(name):
     runs = [system.record(np.random.RandomState(k), 20, start).state for k in range(6)]
     x = system.landmarks(np.concatenate(runs))[:, : len(system.keypoints)].astype(np.float32)
     assert not is_singular(system.constraints, jnp.asarray(x.reshape(len(x), -1)))
+
+
+@pytest.mark.parametrize(("radius", "step", "expected"), [(0.03, 0.02, []), (0.03, 0.04, [1])])
+def test_a_circle_turns_within_steps_longer_than_its_radius(radius, step, expected):
+    angle = np.linspace(0, 2 * np.pi, 30)
+    x = np.stack([angle, 0 * angle, 0.1 + radius * np.cos(angle), 0.2 + radius * np.sin(angle)], axis=-1)
+    phi = Constraints(("cart", "bob"), (OnLine("cart"), DistanceToPoint("bob", (0.1, 0.2))))
+    assert turns_within(phi, jnp.asarray(x), step) == expected
+
+
+def test_two_keypoints_on_one_part_turn_within_an_error_of_each():
+    x = turned([(0.5, 0.2), (0.5, 0.21)])
+    rods = Constraints(("a", "b"), (DistanceToPoint("a"), FixedDistance("a", "b")))
+    assert turns_within(rods, x, 0.03) == [1]
+    assert turns_within(rods, x, 0.002) == []

@@ -106,6 +106,7 @@ from keycld.mechanics.runge_kutta import RungeKutta as RungeKutta
 from keycld.mechanics.second_order import SecondOrderNetwork as SecondOrderNetwork
 from keycld.mechanics.shake import Shake as Shake
 from keycld.mechanics.singular import is_singular as is_singular
+from keycld.mechanics.singular import turns_within as turns_within
 from keycld.mechanics.state import AbstractDynamics as AbstractDynamics
 from keycld.mechanics.state import AbstractField as AbstractField
 from keycld.mechanics.state import Motion as Motion
@@ -225,6 +226,7 @@ __all__ = [
     "to_hamiltonian",
     "to_mjcf",
     "truncated_normal",
+    "turns_within",
     "two_point_masses",
     "with_kinds",
     "with_terms",

@@ -32,6 +32,22 @@ def is_singular(phi: AbstractConstraint, x: Float[Array, "M dim"]) -> bool:
     return bool(np.mean([_bent(*each) for each in zip(slopes, bends, strict=True)]) > 0.5)
 
 
+def turns_within(phi: AbstractConstraint, x: Float[Array, "M dim"], step: float) -> list[int]:
+    """Return the constraints whose gradients change as much as they are long within a step from most positions.
+
+    Errors of this size leave nothing of the direction that the constraint forbids. A keypoint at a fixed distance r
+    from a point, Φ = |x − p|², has |∇Φ| = 2r and |D²Φ| = 2, so that its constraint turns within steps longer than r.
+
+    Args:
+        phi: Φ.
+        x: positions, image-plane units.
+        step: image-plane units.
+    """
+    length = np.linalg.norm(np.asarray(jax.vmap(jax.jacfwd(phi))(x), float), axis=-1)
+    bends = np.linalg.norm(np.asarray(jax.vmap(jax.hessian(phi))(x), float), ord=2, axis=(-2, -1))
+    return np.flatnonzero(np.mean(step * bends > length, axis=0) > 0.5).tolist()
+
+
 def _bent(slopes: np.ndarray, bends: np.ndarray) -> bool:
     left, values, right = np.linalg.svd(slopes)
     rank = int(np.sum(values > _ZERO))

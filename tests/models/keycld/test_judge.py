@@ -92,6 +92,21 @@ def test_a_slow_motion_is_judged_on_longer_stretches(monkeypatch, recordings):
     assert "no law was found" in judge_dynamics(cart(0.5), recordings, {}, worst=0.1)
 
 
+@pytest.mark.parametrize(
+    ("radius", "worst", "failure"), [(0.5, 0.1, "keypoint 1 is within a pixel"), (0.5, 1e9, None), (2, 0.1, None)]
+)
+def test_a_keypoint_on_its_pivot_fails(monkeypatch, recordings, radius, worst, failure):
+    """Its constraint holds and it hardly moves, so any law is near. A training of a few steps may pass all."""
+    angle, length = 0.5 * TIME + np.arange(6)[:, None], radius * PIXEL
+    x = jnp.asarray(observed(length * np.sin(angle), -length * np.cos(angle), 0.01 * PIXEL), jnp.float32)
+    monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: (x, jnp.zeros((6, 0))))
+    rod = Constraints(("bob",), (DistanceToPoint("bob"),))
+    model = eqx.tree_at(lambda m: m.dynamics.law.constraint_function, cart(0.0), rod)
+    model = eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.full(1, length**2))
+    failed = judge_dynamics(model, recordings, {}, worst=worst)
+    assert failed is failure or failure in failed
+
+
 def test_errors_of_keypoints_are_recognised_without_a_law():
     """Independent ones by their scatter, lasting ones along a pendulum's rod by its length; each to a tenth."""
     law = cart(1.0).law

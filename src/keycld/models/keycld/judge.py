@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from keycld.data import Resident
-from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved
+from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved, turns_within
 from keycld.models.keycld.identify import Tracks, explain
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
@@ -63,6 +63,9 @@ def judge_dynamics(
     next to those of constant acceleration, fitted alike, which show how much there is to explain. A twentieth of the
     recordings may be lost by a fit, for example where bodies nearly collide, and does not count.
 
+    A keypoint within a pixel of a point from which the constraints keep it at a distance has found this point in place
+    of its part. The law then explains its motion and is wrong, so it fails at once.
+
     Slow motions show too little of the law in a short time. A law that does not pass on many recordings is judged on
     fewer and longer stretches too. Two bodies of unknown masses, in units of constant acceleration over 80 and 240
     frames: 0.2 and 0.1 with attraction, 0.6 and 0.8 with springs in its place.
@@ -77,22 +80,39 @@ def judge_dynamics(
         model: after the stage; None is returned for one without a Lagrangian.
         data: the training data.
         terms: not used.
-        worst: the largest share of the errors of constant acceleration that passes.
+        worst: the largest share of the errors of constant acceleration that passes. 1 or more: everything does.
         small: pixels of error that pass. After vision alone keypoints may be wrong by tenths of a pixel, in ways that
             last for many frames; where motions are slow, a right law is then no nearer than constant accelerations.
             The stage joint corrects them (two bodies: 0.21 → 0.01 pixels), and less passes after it.
     """
-    if not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
+    if worst >= 1 or not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
         return None
     failure, frames = None, 0
     for count in (FITTED, FITTED // _LONGER):
         x, u = observed_keypoints(model, data, count, first=1)
         if x.shape[1] == frames:
             break
+        if not frames and (failure := _collapsed(model.law, x, 2 / max(data.shape[2:4]))):
+            break
         failure, frames = _unexplained(model, data, x, u, worst=worst, small=small), x.shape[1]
         if failure is None:
             break
     return failure
+
+
+def _collapsed(law: ConstrainedLagrangian, x: jax.Array, pixel: float) -> str | None:
+    """Return which observed keypoints `[N, T, 2K]` are within a pixel of what they keep a distance from, or None."""
+    some = x.reshape(-1, x.shape[-1])[:: max(1, x.shape[1] // 2)]
+    turning = turns_within(law.constraint_function, some, pixel)
+    if not turning:
+        return None
+    acts = np.asarray(jax.vmap(law.jacobian)(some))[:, turning[0]].reshape(len(some), -1, 2)
+    on = np.flatnonzero(np.any(acts, axis=(0, 2))) + 1
+    near = f"keypoint {on[0]} is" if len(on) == 1 else f"keypoints {', '.join(map(str, on))} are"
+    return (
+        f"{near} within a pixel of what constraint {turning[0] + 1} keeps a distance from: a pivot or another part "
+        "was found in place of the part that moves. Try another --seed, larger pictures, or a keypoint elsewhere."
+    )
 
 
 def _unexplained(

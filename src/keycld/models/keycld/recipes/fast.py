@@ -70,7 +70,7 @@ class DynamicsStage:
     """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
     worst: float = 0.1
     """Error of fitted motions, as a share of that of constant accelerations, above which the stage has failed, unless
-    the keypoints' own errors explain it."""
+    the keypoints' own errors explain it. With 1 or more it is not judged."""
 
 
 @dataclasses.dataclass(frozen=True)
