@@ -10,8 +10,7 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-from validation.drawn_clips import FPS, KINDS
+from validation.drawn_clips import KINDS, Camera, drawn
 
 from keycld.cli.alternatives import compare
 from keycld.drawing import save_movie
@@ -49,9 +48,9 @@ def main() -> None:
     results = []
     if options.seed is not None:
         with tempfile.TemporaryDirectory() as folder:
-            for number, (kind, (draw, expected)) in enumerate(KINDS.items()):
+            for kind, (_, expected) in KINDS.items():
                 path = Path(folder) / f"{kind}-{options.seed}.mp4"
-                save_movie(path, draw(np.random.default_rng([options.seed, number])), fps=FPS, scale=1)
+                save_movie(path, drawn(kind, options.seed).frames, fps=Camera().fps, scale=1)
                 results.append(looked_at(path, expected))
     for pair in options.clips:
         path, _, expected = pair.rpartition("=")

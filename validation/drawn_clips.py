@@ -6,18 +6,34 @@ python validation/drawn_clips.py OUT [--seed 0]    # one MP4 of each kind
 import argparse
 from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from keycld.drawing import save_movie
 
-FRAMES, FPS, SIDE = 300, 30.0, 128
+SIDE = 128
 
 
-def integrated(rate: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> np.ndarray:
+class Camera(NamedTuple):
+    """How a clip is recorded: its frames, their rate, and the angle by which the picture is turned, degrees."""
+
+    frames: int = 300
+    fps: float = 30.0
+    tilt: float = 0.0
+
+
+class Drawn(NamedTuple):
+    """Frames, and the constants that `keycld watch` measures, by their names in physics.json."""
+
+    frames: np.ndarray
+    truth: dict[str, float]
+
+
+def integrated(rate: Callable[[np.ndarray], np.ndarray], start: np.ndarray, camera: Camera) -> np.ndarray:
     """Return the states of all frames of ṡ = rate(s), by Runge–Kutta steps of an eighth of a frame."""
-    found, s, h = [], np.array(start, float), 1 / FPS / 8
-    for _ in range(FRAMES):
+    found, s, h = [], np.array(start, float), 1 / camera.fps / 8
+    for _ in range(camera.frames):
         found.append(s)
         for _ in range(8):
             a = rate(s)
@@ -27,12 +43,40 @@ def integrated(rate: Callable[[np.ndarray], np.ndarray], start: np.ndarray) -> n
     return np.array(found)
 
 
-def pendulum(start: np.ndarray, square: float, friction: float) -> np.ndarray:
+def oscillation(mass: np.ndarray, stiffness: np.ndarray, friction: np.ndarray) -> dict[str, float]:
+    """Return periods, damping ratios and the viscous rate of M q̈ + C q̇ + K q = 0."""
+    factor = np.linalg.inv(np.linalg.cholesky(mass))
+    squares, modes = np.linalg.eigh(factor @ stiffness @ factor.T)
+    damping = np.diag(modes.T @ factor @ friction @ factor.T @ modes)
+    found = {"viscous_rate": float(np.trace(np.linalg.solve(mass, friction)) / len(mass))}
+    for k, (square, rate) in enumerate(zip(squares, damping, strict=True), 1):
+        found |= {f"period_{k}": 2 * np.pi / np.sqrt(square), f"damping_ratio_{k}": rate / 2 / np.sqrt(square)}
+    return {name: float(value) for name, value in found.items()}
+
+
+def single(square: float, friction: float) -> dict[str, float]:
+    """Return these of one degree of freedom: ω² and γ."""
+    return oscillation(np.eye(1), np.full((1, 1), square), np.full((1, 1), friction))
+
+
+def pendulum(start: np.ndarray, square: float, friction: float, camera: Camera) -> np.ndarray:
     """θ̈ = −ω² sin θ − γ θ̇; angles from hanging straight down."""
-    return integrated(lambda s: np.array([s[1], -square * np.sin(s[0]) - friction * s[1]]), start)[:, 0]
+    return integrated(lambda s: np.array([s[1], -square * np.sin(s[0]) - friction * s[1]]), start, camera)[:, 0]
 
 
-def double_pendulum(start: np.ndarray, lengths: tuple[float, float], masses: tuple[float, float], friction: float):
+def hanging(lengths: tuple[float, float], masses: tuple[float, float], friction: float) -> dict[str, float]:
+    """Return the constants of `double_pendulum`, for angles from the vertical."""
+    (l1, l2), (m1, m2), g = lengths, masses, 8.0
+    mass = np.array([[(m1 + m2) * l1**2, m2 * l1 * l2], [m2 * l1 * l2, m2 * l2**2]])
+    weight = np.diag([(m1 + m2) * g * l1, m2 * g * l2])
+    return oscillation(mass, weight, friction * np.array([[2.0, -1.0], [-1.0, 1.0]])) | {
+        "mass_ratio_elbow_tip": m1 / m2
+    }
+
+
+def double_pendulum(
+    start: np.ndarray, lengths: tuple[float, float], masses: tuple[float, float], friction: float, camera: Camera
+) -> np.ndarray:
     """Two point masses on massless links in gravity of 8 units/s², and friction γ in both joints."""
     (l1, l2), (m1, m2), g = lengths, masses, 8.0
 
@@ -48,10 +92,12 @@ def double_pendulum(start: np.ndarray, lengths: tuple[float, float], masses: tup
         )
         return np.array([va, vb, *np.linalg.solve(matrix, force)])
 
-    return integrated(rate, start)[:, :2]
+    return integrated(rate, start, camera)[:, :2]
 
 
-def cart_pole(start: np.ndarray, length: float, masses: tuple[float, float], spring: float, friction: float):
+def cart_pole(
+    start: np.ndarray, length: float, masses: tuple[float, float], spring: float, friction: float, camera: Camera
+) -> np.ndarray:
     """A cart of mass M on a spring, and a point mass on a massless pole that hangs from it."""
     (big, small), g = masses, 8.0
 
@@ -66,15 +112,17 @@ def cart_pole(start: np.ndarray, length: float, masses: tuple[float, float], spr
         )
         return np.array([vx, va, *np.linalg.solve(matrix, force)])
 
-    return integrated(rate, start)[:, :2]
+    return integrated(rate, start, camera)[:, :2]
 
 
 class Canvas:
     """Frames of a camera: shapes over a ground with slow shades, blurred by a part of the exposure, with noise."""
 
-    def __init__(self, random: np.random.Generator):
+    def __init__(self, random: np.random.Generator, camera: Camera):
         """Choose the ground."""
         self.random = random
+        cosine, sine = np.cos(np.radians(camera.tilt)), np.sin(np.radians(camera.tilt))
+        self.turn = np.array([[cosine, sine], [-sine, cosine]])
         rows, columns = np.mgrid[:SIDE, :SIDE] / SIDE
         tone, shade = random.uniform(0.35, 0.75, 3) * [1, 1, 1], random.uniform(-0.1, 0.1, 2)
         ground = tone + (shade[0] * rows + shade[1] * columns)[..., None]
@@ -82,7 +130,7 @@ class Canvas:
         for place, width in ((0.15, 0.03), (0.8, 0.05)):
             ground = np.where((np.abs(columns - place) < width / 2)[..., None], 0.6 * ground + 0.2 * bars, ground)
         self.ground = ground + 0.02 * random.standard_normal((SIDE, SIDE, 1))
-        self.frames = np.repeat(self.ground[None], FRAMES, axis=0).astype(np.float32)
+        self.frames = np.repeat(self.ground[None], camera.frames, axis=0).astype(np.float32)
         step = 2 / (SIDE - 1)
         self.grid = np.stack([np.mgrid[:SIDE, :SIDE][1] * step - 1, 1 - np.mgrid[:SIDE, :SIDE][0] * step], -1)
 
@@ -97,8 +145,9 @@ class Canvas:
 
     def bar(self, first: np.ndarray, last: np.ndarray, width: float, colour: np.ndarray, opacity: float = 1.0) -> None:
         """Paint a bar with round ends from `first` to `last`, `[T, 2]` each."""
-        for t in range(FRAMES):
-            a, b = np.broadcast_to(first, (FRAMES, 2))[t], np.broadcast_to(last, (FRAMES, 2))[t]
+        shape = (len(self.frames), 2)
+        for t in range(len(self.frames)):
+            a, b = np.broadcast_to(first, shape)[t] @ self.turn, np.broadcast_to(last, shape)[t] @ self.turn
             along = b - a
             share = np.clip(((self.grid - a) @ along) / max(along @ along, 1e-12), 0, 1)
             far = np.linalg.norm(self.grid - a - share[..., None] * along, axis=-1)
@@ -119,75 +168,79 @@ def _end(angle: np.ndarray, length: float) -> np.ndarray:
     return length * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
 
 
-def damped_pendulum(random: np.random.Generator) -> np.ndarray:
+def damped_pendulum(random: np.random.Generator, camera: Camera) -> Drawn:
     """A ball on a rod, with a shadow of the ball on the wall."""
-    canvas, pivot, length = Canvas(random), random.uniform(-0.25, 0.25, 2) + [0, 0.2], random.uniform(0.5, 0.7)
-    angle = pendulum(np.array([random.uniform(0.7, 1.3), 0]), random.uniform(8, 14), random.uniform(0.05, 0.2))
+    canvas, pivot, length = Canvas(random, camera), random.uniform(-0.25, 0.25, 2) + [0, 0.2], random.uniform(0.5, 0.7)
+    start, square, friction = random.uniform(0.7, 1.3), random.uniform(8, 14), random.uniform(0.05, 0.2)
+    angle = pendulum(np.array([start, 0]), square, friction, camera)
     ball = pivot + _end(angle, length)
     canvas.bar(ball + [0.08, -0.05], ball + [0.08, -0.05], 0.1, np.zeros(3), opacity=0.25)
     canvas.bar(pivot, ball, 0.02, canvas.colour())
     canvas.ball(ball, random.uniform(0.07, 0.11), canvas.colour())
-    return canvas.finished()
+    return Drawn(canvas.finished(), single(square, friction) | {"gravity_direction": camera.tilt - 90})
 
 
-def hidden_pivot(random: np.random.Generator) -> np.ndarray:
+def hidden_pivot(random: np.random.Generator, camera: Camera) -> Drawn:
     """A ball on a thread from a pivot above of the picture."""
-    canvas, length = Canvas(random), random.uniform(1.4, 1.8)
-    angle = pendulum(np.array([random.uniform(0.35, 0.45), 0]), random.uniform(6, 9), random.uniform(0.03, 0.1))
+    canvas, length = Canvas(random, camera), random.uniform(1.4, 1.8)
+    start, square, friction = random.uniform(0.35, 0.45), random.uniform(6, 9), random.uniform(0.03, 0.1)
+    angle = pendulum(np.array([start, 0]), square, friction, camera)
     canvas.ball(np.array([random.uniform(-0.1, 0.1), 1.0]) + _end(angle, length), 0.1, canvas.colour())
-    return canvas.finished()
+    return Drawn(canvas.finished(), single(square, friction) | {"gravity_direction": camera.tilt - 90})
 
 
-def damped_double_pendulum(random: np.random.Generator) -> np.ndarray:
+def damped_double_pendulum(random: np.random.Generator, camera: Camera) -> Drawn:
     """Two bars that cover each other, with friction in the joints."""
-    canvas, pivot = Canvas(random), random.uniform(-0.15, 0.15, 2)
+    canvas, pivot = Canvas(random, camera), random.uniform(-0.15, 0.15, 2)
     lengths = random.uniform(0.32, 0.42), random.uniform(0.25, 0.35)
-    angles = double_pendulum(
-        np.array([*random.uniform(1.2, 2.4, 2), 0, 0]), lengths, (1.0, random.uniform(0.4, 1.0)), 0.004
-    )
+    start = np.array([*random.uniform(1.2, 2.4, 2), 0, 0])
+    masses = (1.0, random.uniform(0.4, 1.0))
+    angles = double_pendulum(start, lengths, masses, 0.004, camera)
     elbow = pivot + _end(angles[:, 0], lengths[0])
     canvas.bar(elbow, elbow + _end(angles[:, 1], lengths[1]), 0.05, canvas.colour())
     canvas.bar(pivot, elbow, 0.05, canvas.colour())
-    return canvas.finished()
+    return Drawn(canvas.finished(), hanging(lengths, masses, 0.004) | {"gravity_direction": camera.tilt - 90})
 
 
-def two_balls(random: np.random.Generator) -> np.ndarray:
+def two_balls(random: np.random.Generator, camera: Camera) -> Drawn:
     """A double pendulum of which two balls of one colour are seen."""
-    canvas, pivot = Canvas(random), random.uniform(-0.15, 0.15, 2)
+    canvas, pivot = Canvas(random, camera), random.uniform(-0.15, 0.15, 2)
     lengths, colour = (random.uniform(0.35, 0.42), random.uniform(0.28, 0.36)), canvas.colour()
-    angles = double_pendulum(np.array([*random.uniform(1.0, 2.0, 2), 0, 0]), lengths, (1.0, 0.7), 0.004)
+    masses = (1.0, 0.7)
+    angles = double_pendulum(np.array([*random.uniform(1.0, 2.0, 2), 0, 0]), lengths, masses, 0.004, camera)
     elbow = pivot + _end(angles[:, 0], lengths[0])
     canvas.ball(elbow, 0.06, colour)
     canvas.ball(elbow + _end(angles[:, 1], lengths[1]), 0.06, colour)
-    return canvas.finished()
+    return Drawn(canvas.finished(), hanging(lengths, masses, 0.004) | {"gravity_direction": camera.tilt - 90})
 
 
-def spring_cart(random: np.random.Generator) -> np.ndarray:
+def spring_cart(random: np.random.Generator, camera: Camera) -> Drawn:
     """A cart on a rail of any direction, on a zigzag spring."""
-    canvas, tilt = Canvas(random), random.uniform(-0.4, 0.4)
+    canvas, tilt = Canvas(random, camera), random.uniform(-0.4, 0.4)
     along = np.array([np.cos(tilt), np.sin(tilt)])
     middle = random.uniform(-0.15, 0.15, 2)
-    rate = random.uniform(10, 30)
-    x = pendulum(np.array([0.01, 0.0]), rate, random.uniform(0.05, 0.25)) / 0.01 * random.uniform(0.25, 0.4)
+    square, friction = random.uniform(10, 30), random.uniform(0.05, 0.25)
+    x = pendulum(np.array([0.01, 0.0]), square, friction, camera) / 0.01 * random.uniform(0.25, 0.4)
     cart, wall, across = middle + x[:, None] * along, middle - 0.8 * along, np.array([-along[1], along[0]])
     metal = canvas.colour()
     knots = [wall + (cart - wall) * share + across * side * 0.05 for share, side in _ZIGZAG]
     for first, last in zip(knots[:-1], knots[1:], strict=True):
         canvas.bar(first, last, 0.012, metal)
     canvas.bar(cart - 0.1 * along, cart + 0.1 * along, 0.09, canvas.colour())
-    return canvas.finished()
+    return Drawn(canvas.finished(), single(square, friction))
 
 
-def hanging_cart_pole(random: np.random.Generator) -> np.ndarray:
+def hanging_cart_pole(random: np.random.Generator, camera: Camera) -> Drawn:
     """A cart on a level rail with a pole that hangs from it."""
-    canvas, length, place = Canvas(random), random.uniform(0.4, 0.55), np.array([0.0, random.uniform(0.2, 0.4)])
-    motion = cart_pole(
-        np.array([random.uniform(-0.4, 0.4), random.uniform(0.8, 1.4), 0, 0]), length, (1.0, 0.6), 6.0, 0.05
-    )
+    canvas, length, place = Canvas(random, camera), random.uniform(0.4, 0.55), np.array([0.0, random.uniform(0.2, 0.4)])
+    start, masses, spring, friction = [random.uniform(-0.4, 0.4), random.uniform(0.8, 1.4), 0, 0], (1.0, 0.6), 6.0, 0.05
+    motion = cart_pole(np.array(start), length, masses, spring, friction, camera)
+    mass = np.array([[sum(masses), masses[1] * length], [masses[1] * length, masses[1] * length**2]])
+    truth = oscillation(mass, np.diag([spring, masses[1] * 8.0 * length]), np.diag([friction, 0.1 * friction]))
     cart = place + motion[:, :1] * np.array([1.0, 0.0])
     canvas.bar(cart, cart + _end(motion[:, 1], length), 0.035, canvas.colour())
     canvas.bar(cart - [0.1, 0], cart + [0.1, 0], 0.07, canvas.colour())
-    return canvas.finished()
+    return Drawn(canvas.finished(), truth)
 
 
 _ZIGZAG = [(k / 12, (-1) ** k * (0 < k < 12)) for k in range(13)]
@@ -202,6 +255,11 @@ KINDS = {
 """What is drawn, and the mechanism that it shows."""
 
 
+def drawn(kind: str, seed: int, camera: Camera = Camera()) -> Drawn:  # noqa: B008
+    """Return the clip of a kind and a seed."""
+    return KINDS[kind][0](np.random.default_rng([seed, list(KINDS).index(kind)]), camera)
+
+
 def main() -> None:
     """Draw one clip of each kind."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -209,9 +267,9 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    for number, (kind, (draw, _)) in enumerate(KINDS.items()):
-        frames = draw(np.random.default_rng([options.seed, number]))
-        save_movie(options.out / f"{kind}-{options.seed}.mp4", frames, fps=FPS, scale=1)
+    for kind in KINDS:
+        frames = drawn(kind, options.seed).frames
+        save_movie(options.out / f"{kind}-{options.seed}.mp4", frames, fps=Camera().fps, scale=1)
         print(options.out / f"{kind}-{options.seed}.mp4", frames.shape, flush=True)
 
 
