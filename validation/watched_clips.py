@@ -48,6 +48,7 @@ CLIPS = (
     Clip("spring_cart", 301, Camera(1800, 30.0)),
     Clip("hanging_cart_pole", 300, Camera()),
 )
+KEYCLD = Path(sys.executable).with_name("keycld")
 LIMITS = {"period": 0.01, "viscous_rate": 0.1}
 """Largest errors, as a share of the truth, by the beginning of a constant's name."""
 
