@@ -253,6 +253,49 @@ def test_something_not_finite_is_named_and_not_trained_on(data):
     assert "step 0 of stage 's'" in error and "still" in error and "moving" not in error
 
 
+class Smooth(AbstractLoss):
+    """Stumbles where it is finite."""
+
+    def __call__(self, model, clips, *, key, step):
+        return jnp.sum(model.moving**2) + jnp.sum(jnp.sqrt(jnp.abs(model.moving))), {}
+
+
+class Stumbles(AbstractLoss):
+    """A loss whose gradient is not finite at steps 2 to 4, and whose value is not at step 7."""
+
+    def __call__(self, model, clips, *, key, step):
+        hurdle = jnp.where((step >= 2) & (step < 5), 0.0, 1.0)
+        loss = jnp.sum(model.moving**2) + jnp.sum(jnp.sqrt(hurdle * jnp.abs(model.moving)))
+        return loss + jnp.where(step == 7, jnp.inf, 0.0), {"moving": model.moving[0]}
+
+
+def test_steps_that_are_not_finite_are_skipped_where_a_stage_allows_it(data):
+    """They change nothing: the parameters, and the moments of Adam, are those of the other steps alone."""
+    model = Model(jnp.full(2, 3.0), jnp.ones(3))
+    lenient, strict = stage(loss=Stumbles(), skips=3), stage(loss=Stumbles())
+    progress, rest = initial_progress(lenient, model)
+    progress, terms = make_step(lenient, 0, 0, 10)((rest, data), progress)
+    assert bool(progress.healthy) and int(progress.step) == 10
+    assert lenient.skipped(progress.optimiser) == 4
+    moved = np.diff(np.asarray(terms["moving"]))
+    np.testing.assert_array_equal(moved[[2, 3, 4, 7]], 0.0)
+    assert np.all(moved[[0, 1, 5, 6, 8]] < 0)
+
+    expected, rest = initial_progress(strict, model)
+    whole = make_step(stage(loss=Smooth()), 0, 0, 6)
+    expected, _ = whole((rest, data), expected)
+    np.testing.assert_allclose(progress.parameters.moving, expected.parameters.moving, rtol=1e-6)
+
+
+def test_one_step_more_than_may_be_skipped_ends_the_stage(data):
+    model = Model(jnp.full(2, 3.0), jnp.ones(3))
+    lenient = stage(loss=Stumbles(), skips=2)
+    progress, rest = initial_progress(lenient, model)
+    progress, _ = make_step(lenient, 0, 0, 10)((rest, data), progress)
+    assert not bool(progress.healthy) and int(progress.step) == 4
+    assert "step 4 of stage 's'" in str(diagnose(lenient, 0, 0, progress, rest, data))
+
+
 def test_the_broken_loss_term_is_named(data):
     class Breaks(AbstractLoss):
         def __call__(self, model, clips, *, key, step):

@@ -55,11 +55,13 @@ class Rule:
         groups: as in `Stage`, with 1 for every rate above zero.
         optimiser: as in `Stage`.
         clip: as in `Stage`.
+        skips: as in `Stage`.
     """
 
     groups: tuple[Group, ...]
     optimiser: MakeOptimiser
     clip: float | None
+    skips: int
 
     def labels(self, model: eqx.Module) -> list[str | None]:
         """Return the name of the group of each leaf of the model, None where it is not trained.
@@ -94,9 +96,9 @@ class Rule:
             if group.rate > 0
         }
         combined = optax.multi_transform(rules, jax.tree.unflatten(jax.tree.structure(model), self.labels(model)))
-        if self.clip is None:
-            return combined
-        return optax.chain(optax.clip_by_global_norm(self.clip), combined)
+        if self.clip is not None:
+            combined = optax.chain(optax.clip_by_global_norm(self.clip), combined)
+        return optax.apply_if_finite(combined, self.skips) if self.skips else combined
 
 
 @dataclasses.dataclass(frozen=True)
@@ -113,6 +115,7 @@ class Stage:
         optimiser: makes an optax transformation from a learning-rate schedule.
         schedule: makes that schedule from the peak rate and the number of steps.
         clip: largest global norm of a gradient; larger ones are scaled down to it. None: unlimited.
+        skips: steps in a row whose loss or gradient may be not finite: they change nothing. One more ends the training.
         prepare: changes the model and the resident data before the first step: statistics, cached keypoints, a
             least-squares fit.
         every: steps between repetitions of `refresh`; 0: none.
@@ -136,6 +139,7 @@ class Stage:
     optimiser: MakeOptimiser = adam
     schedule: Callable[[float, int], optax.Schedule] = lambda rate, steps: optax.constant_schedule(rate)
     clip: float | None = None
+    skips: int = 0
     prepare: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
     every: int = 0
     refresh: Callable[[Any, Resident], tuple[Any, Resident]] | None = None
@@ -174,11 +178,15 @@ class Stage:
             if group.rate > 0
         }
 
+    def skipped(self, optimiser: Any) -> int:
+        """Return how many steps the stage has skipped so far, from the state of its optimiser."""
+        return int(optimiser.total_notfinite) if self.skips else 0
+
     @property
     def rule(self) -> Rule:
         """What turns gradients into steps."""
         groups = tuple(dataclasses.replace(group, rate=float(group.rate > 0)) for group in self.groups)
-        return Rule(groups, self.optimiser, self.clip)
+        return Rule(groups, self.optimiser, self.clip, self.skips)
 
     @property
     def numbers(self) -> Any:

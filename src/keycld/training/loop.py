@@ -238,10 +238,12 @@ class _Trainer:
             done += chunk
             self.clock.frames += per_step * chunk
             if done % log_every < chunk or done == stage.steps:
-                values = {k: float(np.mean([np.mean(t[k]) for t in pending])) for k in terms}
+                values = {k: _mean([t[k] for t in pending], skipping=stage.skips > 0) for k in terms}
                 pending = []
                 if not bool(current.healthy):
                     raise diagnose(stage, drawn, training.seed, devices.here(current), rest, self.data)
+                if skipped := stage.skipped(current.optimiser):
+                    values["skipped"] = float(skipped)
                 self.clock.tick()
                 now = time.monotonic()
                 rate = (self.clock.frames - logged_frames) / max(now - logged_at, 1e-9)
@@ -365,6 +367,14 @@ def _best(
         found.append((score if sound else np.inf, progress, rest, resident))
     _, progress, rest, resident = min(found, key=lambda candidate: candidate[0])
     return progress, rest, resident
+
+
+def _mean(chunks: list[jax.Array], *, skipping: bool) -> float:
+    """Return the mean of a term over the steps of some dispatches; without those that were skipped."""
+    steps = [np.asarray(chunk) for chunk in chunks]
+    if skipping:
+        steps = [chunk[np.isfinite(chunk)] for chunk in steps if np.isfinite(chunk).any()]
+    return float(np.mean([np.mean(chunk) for chunk in steps])) if steps else float("nan")
 
 
 def _changed(

@@ -24,8 +24,8 @@ class Progress(NamedTuple):
         optimiser: the optimiser's state.
         memory: the loss's state; () where it has none.
         step: number of the next step.
-        healthy: False from the first step on whose loss or gradient is not finite. Then nothing changes any more, so
-            that `diagnose` can examine the parameters of that step.
+        healthy: False from the first step on whose loss or gradient is not finite and may not be skipped. Then nothing
+            changes any more, so that `diagnose` can examine the parameters of that step.
     """
 
     parameters: Any
@@ -91,7 +91,14 @@ def _run(fixed: tuple[Rule, Devices, int, Any, Any, Resident], progress: Progres
         key = jax.random.fold_in(loss_key, progress.step)
         (loss, (terms, memory)), gradient = _gradient(objective, rest, clips, key, progress)
         # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
-        healthy = progress.healthy & jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
+        finite = jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
+        allowed = finite
+        if rule.skips:
+            # The optimiser skips what is not finite, and counts.
+            gradient = jax.tree.map(lambda each: jnp.where(finite, each, jnp.nan), gradient)
+            memory = jax.tree.map(lambda new, old: jnp.where(finite, new, old), memory, progress.memory)
+            allowed |= progress.optimiser.notfinite_count < rule.skips
+        healthy = progress.healthy & allowed
         now = {name: rate[progress.step] for name, rate in rates.items()}
         transformation = rule.transformation(eqx.combine(progress.parameters, rest), now)
         updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)

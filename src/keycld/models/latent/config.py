@@ -187,6 +187,8 @@ class FastSettings(LatentConfig):
     clip: float = 1.0
     """Largest norm of a gradient; larger ones are scaled down to it."""
 
+    SKIPS: ClassVar[int] = 20  # Along 60 frames gradients of some windows overflow, in LGN and RGN most of all.
+
     def __post_init__(self) -> None:
         """Refuse stages that do not fit together."""
         super().__post_init__()
@@ -214,6 +216,7 @@ class FastSettings(LatentConfig):
                 groups=(Group("model", whole, self.rate),),
                 schedule=partial(warmup_cosine, warmup=self.warmup, final=self.final if last else 1.0),
                 clip=self.clip,
+                skips=self.SKIPS,
                 validate=last,
             )
             for last, targets, count in zip(
