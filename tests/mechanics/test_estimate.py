@@ -23,7 +23,7 @@ from keycld.mechanics import (
     estimate,
     predict_fan,
 )
-from keycld.mechanics.residuals import autocovariance
+from keycld.mechanics.residuals import autocovariance, likely_size, places
 
 NOISE, DT, FRAMES = 0.003, 1 / 30, 150
 GRAVITY, FRICTION, LENGTH, PIVOT = 9.81, 0.1, 0.6, (0.05, 0.4)
@@ -133,6 +133,34 @@ def test_errors_that_last_make_error_bars_larger(swing):
     white, lasting = fitted(seen(swing)), fitted(swing + noise)
     assert constants(lasting)["x"].sigma > 1.5 * constants(white)["x"].sigma
     assert lasting.inefficiency[0] > 3 > 1.5 > white.inefficiency[0]
+
+
+def test_errors_that_return_with_the_place_make_error_bars_larger(swing):
+    """A pendulum seen too large on its right side: every swing repeats the error, so that more of them do not help."""
+    around = swing - np.asarray(PIVOT)
+    bent = swing + 0.04 * around[:, :1] * np.abs(around)
+    even, uneven = fitted(seen(swing)), fitted(seen(bent))
+    assert even.uneven == 0.0 < uneven.uneven
+    measured = constants(uneven)["ω²"]
+    wrong = abs(measured.value - GRAVITY / LENGTH)
+    # What the errors would be if they only lasted for some frames.
+    assert wrong > 4 * constants(even)["ω²"].sigma
+    assert wrong < 2 * measured.sigma
+
+
+def test_the_size_of_uneven_errors_is_found_and_chance_is_not():
+    random = np.random.default_rng(0)
+    x = np.cumsum(0.1 * random.standard_normal((2, 400, 4)), axis=1)
+    basis = places(x)
+    np.testing.assert_allclose(np.mean(basis**2, axis=(0, 1, 2)), 1 / 4, rtol=1e-6)
+    sizes = []
+    for size in (0.0, 0.02):
+        for _ in range(40):
+            error = 0.05 * random.standard_normal(x.shape) + basis @ (size * random.standard_normal(basis.shape[-1]))
+            matrix = np.einsum("ntdi,ntdj->ij", basis, basis)
+            sizes.append(likely_size(np.einsum("ntdi,ntd->i", basis, error), 0.05**2 * matrix, matrix))
+    assert np.mean(np.array(sizes[:40]) > 0) < 0.1
+    assert np.mean(sizes[40:]) == pytest.approx(0.02, rel=0.1)
 
 
 def test_autocovariance_of_independent_errors_is_their_variance():

@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PyTree
 from keycld._errors import KeycldError
 from keycld.mechanics.dynamics import MechanicalDynamics
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
-from keycld.mechanics.residuals import autocovariance, deviation, lagged_products, robust_scale
+from keycld.mechanics.residuals import autocovariance, deviation, lagged_products, likely_size, places, robust_scale
 from keycld.mechanics.sensitivity import Sensitivity, Unknowns, paths, sensitivity
 from keycld.mechanics.state import Motion, Scalar
 
@@ -45,6 +45,7 @@ class Estimate(NamedTuple):
         initial: initial states `[N, dim]` each.
         paths: fitted positions `[N, T, dim]`.
         dt: seconds between frames.
+        uneven: s, the size of errors that depend on where a keypoint is, image-plane units.
         misfit: root mean square of the errors that last for more than a frame, as a share of that of the motion around
             its mean position. Near 1 the fit has ended in a minimum of the cost that is not the lowest, for example
             with a motion that has fallen back by a period, or the law is another one; the covariance knows of neither.
@@ -60,6 +61,7 @@ class Estimate(NamedTuple):
     initial: Motion
     paths: np.ndarray
     dt: float
+    uneven: float
     misfit: float
 
 
@@ -97,11 +99,13 @@ def estimate(
     derivatives are exact, and the constants c of Φ, such as squared lengths, are unknowns like all others. Initial
     states vary along the constraints, and are eliminated: G = W dx/dη with the best zᵢ for each η. With S = Gᵀ ρ″ G,
 
-        cov η = S⁻¹ (Σₖ Gₖᵀ Cₖ Gₖ) S⁻¹ n/(n − p)
+        cov η = S⁻¹ (Σₖ Gₖᵀ Cₖ Gₖ n/(n − p) + s² E Eᵀ) S⁻¹,    E = Gᵀ ρ″ W B
 
     where Cₖ is the autocovariance over time of the weighted errors of coordinate k (`autocovariance`). With independent
     errors it is the textbook's σ² S⁻¹. Errors of real keypoints last for several frames; then the covariance is larger,
-    by as much as the errors resemble the effect of a parameter.
+    by as much as the errors resemble the effect of a parameter. The second term is for errors that are the same
+    whenever a keypoint is in the same place, which more swings do not average: B has the polynomials of its position
+    up to the third degree (`places`), and s is the most likely size of their coefficients (`likely_size`).
 
     Directions of η without curvature get no step and no covariance; the result names them.
 
@@ -233,22 +237,27 @@ def _with_covariance(
 ) -> Estimate:
     error = _times(whiten, tracks - near.x)
     # The second derivative of ρ, not the weight of the steps, is the curvature of the cost.
-    normal = NormalEquations(whiten @ near.slopes, error, _weight(error) ** 3, near.local)
+    weight = _weight(error) ** 3
+    normal = NormalEquations(whiten @ near.slopes, error, weight, near.local)
     inverse, flat, scale = normal.inverse()
     used = len(eta) - flat.shape[1] + len(tracks) * near.local
     if tracks.size <= used:
         raise KeycldError(f"{tracks.size} observed numbers do not determine {used} unknowns: use more frames.")
-    scores = _weight(error) * error
-    middle, inefficiency = np.zeros((len(eta), len(eta))), []
-    for d in range(tracks.shape[-1]):
-        covariance = autocovariance(scores[:, :, d])
-        middle = middle + lagged_products(normal.effect[:, :, d], covariance)
-        inefficiency.append((2 * covariance.sum() - covariance[0]) / max(covariance[0], 1e-300))
     share = tracks.size / (tracks.size - used)
+    scores = _weight(error) * error
+    covariances = [autocovariance(scores[:, :, d]) * share for d in range(tracks.shape[-1])]
+    inefficiency = [(2 * each.sum() - each[0]) / max(each[0], 1e-300) for each in covariances]
+    # The polynomials as further parameters: what of them the others do not imitate shows their size.
+    placed = NormalEquations(whiten @ np.concatenate([near.slopes, places(near.x)], -1), error, weight, near.local)
+    imitated = placed.matrix[: len(eta), len(eta) :]
+    rest = placed.effect[..., len(eta) :] - normal.effect @ (inverse @ imitated)
+    curvature = placed.matrix[len(eta) :, len(eta) :] - imitated.T @ inverse @ imitated
+    size = likely_size(np.einsum("ntdi,ntd->i", rest, scores), _products(rest, covariances), curvature)
+    middle = _products(normal.effect, covariances) + size**2 * imitated @ imitated.T
     return Estimate(
         unknowns=unknowns,
         eta=eta,
-        covariance=inverse @ middle @ inverse * share,
+        covariance=inverse @ middle @ inverse,
         flat=flat,
         scale=scale,
         noise=robust_scale(tracks - near.x)[::2] * math.sqrt(share),
@@ -256,7 +265,16 @@ def _with_covariance(
         initial=near.initial,
         paths=near.x,
         dt=dt,
+        uneven=size,
         misfit=_misfit(tracks - near.x, tracks),
+    )
+
+
+def _products(effect: np.ndarray, covariances: list[np.ndarray]) -> np.ndarray:
+    """Return the covariance of Σ effect · error, the errors of different coordinates independent."""
+    return sum(
+        (lagged_products(effect[:, :, d], each) for d, each in enumerate(covariances)),
+        np.zeros((effect.shape[-1], effect.shape[-1])),
     )
 
 
@@ -284,6 +302,7 @@ class NormalEquations:
         alone: the change of the initial states while η stays `[N, m2]`.
         follow: (Jᵀ W J)⁻¹ Jᵀ W ∂x/∂η: the best initial states change by minus this `[N, m2, P]`.
         effect: G = dx/dη with the best initial states for each η `[N, T, dim, P]`.
+        matrix: Gᵀ W G `[P, P]`.
     """
 
     def __init__(self, slopes: np.ndarray, error: np.ndarray, weight: np.ndarray, local: int):
@@ -303,15 +322,15 @@ class NormalEquations:
         self.alone = np.linalg.solve(self.inner, self._pull[..., None])[..., 0]
         self.effect = by_eta - np.einsum("ntdi,nij->ntdj", by_start, self.follow)
         weighted = self.effect * weight[..., None]
-        self._matrix = np.einsum("ntdi,ntdj->ij", weighted, self.effect)
+        self.matrix = np.einsum("ntdi,ntdj->ij", weighted, self.effect)
         self._slope = np.einsum("ntdi,ntd->i", weighted, error)
 
     def inverse(self, damping: float = 0.0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return (Gᵀ W G)⁻¹ without flat directions, these as columns, and the scale of the parameters."""
-        diagonal = np.diag(self._matrix)
+        diagonal = np.diag(self.matrix)
         dead = diagonal <= 1e-24 * max(float(diagonal.max(initial=0.0)), 1e-300)
         scale = 1 / np.sqrt(np.where(dead, 1.0, diagonal))
-        scaled = np.where(dead[:, None] | dead[None, :], 0.0, self._matrix) * scale[:, None] * scale[None, :]
+        scaled = np.where(dead[:, None] | dead[None, :], 0.0, self.matrix) * scale[:, None] * scale[None, :]
         values, vectors = np.linalg.eigh(scaled)
         sound = values > _FLAT
         inner = vectors[:, sound] / (values[sound] + damping) @ vectors[:, sound].T

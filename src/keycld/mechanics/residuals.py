@@ -1,10 +1,14 @@
-"""What the errors of a fit say of the noise: its scale, and how long an error lasts."""
+"""What the errors of a fit say of the noise: its scale, how long an error lasts, how far it depends on the place."""
 
 import numpy as np
 from jaxtyping import Float
 
 # Standard deviations beyond which a correlation is not chance.
 _CHANCE = 2.0
+# Degree of the polynomials of a keypoint's place, and the mean square below which one is constantly zero.
+_DEGREE, _NOTHING = 3, 1e-3
+# Sizes of errors that are compared, image-plane units.
+_SIZES = np.geomspace(1e-6, 0.1, 400)
 
 
 def robust_scale(error: Float[np.ndarray, "N T dim"]) -> Float[np.ndarray, "dim"]:
@@ -51,3 +55,48 @@ def lagged_products(effect: Float[np.ndarray, "N T P"], covariance: Float[np.nda
         product = covariance[k] * np.einsum("nti,ntj->ij", effect[:, :-k], effect[:, k:])
         total = total + product + product.T
     return total
+
+
+def places(x: Float[np.ndarray, "N T dim"]) -> Float[np.ndarray, "N T dim B"]:
+    """Return errors of keypoints that depend smoothly on where they are: polynomials of the place, mean square 1.
+
+    A keypoint may be off by the same amount whenever it returns to a place: by shades, a shadow, the grid of pixels.
+
+    Args:
+        x: positions of K keypoints, image-plane units.
+    """
+    points = x.reshape(*x.shape[:2], -1, 2)
+    columns = []
+    for k in range(points.shape[2]):
+        around = points[:, :, k] - points[:, :, k].mean(axis=(0, 1))
+        first, second = np.moveaxis(around / max(np.sqrt(np.mean(around**2)), 1e-9), -1, 0)
+        for power in ((i, j) for i in range(_DEGREE + 1) for j in range(_DEGREE + 1 - i)):
+            value = first ** power[0] * second ** power[1]
+            if (square := np.mean(value**2)) > _NOTHING:
+                for d in (2 * k, 2 * k + 1):
+                    columns.append(np.zeros(x.shape))
+                    columns[-1][..., d] = value / np.sqrt(square)
+    return np.stack(columns, axis=-1)
+
+
+def likely_size(
+    score: Float[np.ndarray, "B"], noise: Float[np.ndarray, "B B"], curvature: Float[np.ndarray, "B B"]
+) -> float:
+    """Return the size s of coefficients c with which scores are most likely: score ~ N(0, noise + s² Q Qᵀ).
+
+    It is 0 if zero may be right: if twice the gain in the logarithm of the likelihood is below 4.
+
+    Args:
+        score: Σ Bᵀ e, what errors have in common with each function.
+        noise: its covariance if all c are zero.
+        curvature: Q, by how much c changes the score.
+    """
+    values, vectors = np.linalg.eigh(noise)
+    sound = values > 1e-9 * values.max(initial=0.0)
+    unit = vectors[:, sound] / np.sqrt(values[sound])
+    gains, turned = np.linalg.eigh(unit.T @ curvature @ curvature.T @ unit)
+    squares = (turned.T @ unit.T @ score) ** 2
+    spread = 1 + np.append(0.0, _SIZES**2)[:, None] * np.maximum(gains, 0.0)
+    unlikely = np.sum(np.log(spread) + squares / spread, axis=1)
+    best = int(np.argmin(unlikely))
+    return float(_SIZES[best - 1]) if unlikely[0] - unlikely[best] > _CHANCE**2 else 0.0
