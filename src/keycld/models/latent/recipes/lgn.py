@@ -51,4 +51,7 @@ class PaperLGN(PaperSettings, ReleasedLGN):
 @register_preset("fast", "lgn")
 @dataclasses.dataclass(frozen=True)
 class FastLGN(FastSettings, ReleasedLGN):
-    """LGN by our recipe."""
+    """LGN by our recipe, at a third of its rate: at 1.5e-3 roll-outs of eight frames overflow after some 200 steps."""
+
+    rate: float = 5e-4
+    """Learning rate of Adam: constant while horizons grow, then annealed along half a cosine."""
