@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.evaluation import load_physics, measure_physics, save_physics
+from keycld.evaluation import Evaluation, load_physics, measure_physics, save_physics, with_fan
 from keycld.mechanics import (
     RK4,
     ConstrainedLagrangian,
@@ -105,3 +105,33 @@ def test_missing_or_damaged_physics_say_so(measured, tmp_path):
     path.write_text(json.dumps(stored))
     with pytest.raises(KeycldError, match=r"constants.period_1.value"):
         load_physics(tmp_path)
+
+
+def motion(seed):
+    """A recording of the same pendulum that nothing was fitted to, and what a model with a rough law predicts of it."""
+    angle = np.random.default_rng(seed).uniform(-1.2, 1.2)
+    first = jnp.asarray([LENGTH * np.sin(angle), -LENGTH * np.cos(angle)], jnp.float32)
+    found = []
+    for law in (pendulum(9.0, 0.2, RK4(8)), pendulum(8.9, 0.2, RK4(8))):
+        start = State(Motion(first, jnp.array([0.3 * np.cos(angle), 0.3 * np.sin(angle)])), {})
+        found.append(np.asarray(law.rollout(start, jnp.zeros(0), DT, FRAMES - 1).x).reshape(-1, 1, 2))
+    observed = found[0] + NOISE * np.random.default_rng(seed).standard_normal(found[0].shape)
+    return Evaluation({"given": 10, "dt": DT}, {"observed": observed, "predicted": found[1]})
+
+
+def test_a_new_motion_is_within_its_fan_as_often_as_it_says(measured):
+    fans = [with_fan(motion(seed), measured.estimate, np.zeros(0)) for seed in range(12)]
+    within = {share: np.mean([fan.scores["within"][share] for fan in fans]) for share in ("68", "95")}
+    assert within == {"68": pytest.approx(0.68, abs=0.08), "95": pytest.approx(0.95, abs=0.04)}
+    sigma = np.mean([fan.arrays["fan_sigma"] for fan in fans], axis=(0, 2, 3))
+    assert np.all(sigma > 0.9 * NOISE) and sigma[10:].max() > sigma[5]
+    assert fans[0].arrays["fan_off"].shape == (FRAMES, 1, 2)
+
+
+def test_a_prediction_that_diverges_has_no_fan(measured, monkeypatch):
+    def diverging(*arguments, **named):
+        raise KeycldError("the prediction diverges, so that it has no error bars: predict fewer frames.")
+
+    monkeypatch.setattr("keycld.evaluation.physics.predict_fan", diverging)
+    before = motion(0)
+    assert with_fan(before, measured.estimate, np.zeros(0)) is before

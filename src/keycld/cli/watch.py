@@ -18,7 +18,7 @@ from keycld.cli.alternatives import AUTO, COMPARISON, NOT_IDENTIFIABLE, alternat
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
-    from keycld.evaluation import Physics
+    from keycld.evaluation import Evaluation, Physics
     from keycld.evaluation.physics_file import Alternative
     from keycld.mechanics import Scale
     from keycld.models.base import AbstractModel
@@ -119,7 +119,8 @@ def watch(
             model = train_model(data.folder, run, settings, seed=seed)
             motion = evaluate_motion(model, data, progress=Counted("predict"))
             save_evaluation(run, MOTION, motion)
-            physics = _measure(run, model, data, motion.scores, chosen, scale)
+            physics, motion = _measure(run, model, data, motion, chosen, scale)
+            save_evaluation(run, MOTION, motion)
             physics["given"] = measured_by_hand(scale, gravity)
             if compared:
                 physics["alternatives"] = compared
@@ -229,12 +230,12 @@ def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, optio
 
 
 def _measure(
-    run: Path, model: "AbstractModel", data: "DataSet", motion: dict[str, Any], mechanism: str, scale: "Scale | None"
-) -> "Physics":
-    """Measure the constants on the training keypoints; return them with the scores of the prediction."""
+    run: Path, model: "AbstractModel", data: "DataSet", motion: "Evaluation", mechanism: str, scale: "Scale | None"
+) -> "tuple[Physics, Evaluation]":
+    """Measure the constants on the training keypoints; return them with the scores of the prediction, and its fan."""
     import jax.numpy as jnp
 
-    from keycld.evaluation import fitted_tracks, measure_physics
+    from keycld.evaluation import fitted_tracks, measure_physics, with_fan
     from keycld.mechanics import MechanicalDynamics, terms_of
     from keycld.models.keycld.identify import Tracks, evidence
     from keycld.models.keycld.model import KeyCLD
@@ -249,14 +250,15 @@ def _measure(
     worth = {}
     if config.terms is None:
         tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
-        worth = evidence(dynamics, tracks, pixel=motion["pixel"], tried=config.tried)
+        worth = evidence(dynamics, tracks, pixel=motion.scores["pixel"], tried=config.tried)
     name = Path(mechanism).stem
     measured = measure_physics(
         dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
     )
-    said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton")
-    forces = sorted(terms_of(model.law))
-    return {**measured.physics, "prediction": {name: motion[name] for name in said}, "forces": forces}
+    motion = with_fan(motion, measured.estimate, data.split("test").input[0])
+    said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton", "within")
+    prediction = {name: motion.scores[name] for name in said if name in motion.scores}
+    return {**measured.physics, "prediction": prediction, "forces": sorted(terms_of(model.law))}, motion
 
 
 def _table(physics: "Physics") -> str:

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.physics import Measured as Measured
     from keycld.evaluation.physics import constants_of as constants_of
     from keycld.evaluation.physics import measure_physics as measure_physics
+    from keycld.evaluation.physics import with_fan as with_fan
     from keycld.evaluation.physics_file import PHYSICS as PHYSICS
     from keycld.evaluation.physics_file import Constant as Constant
     from keycld.evaluation.physics_file import Physics as Physics
@@ -138,4 +139,5 @@ __all__ = [
     "valid_prediction_time",
     "validation_epsilon",
     "with_given",
+    "with_fan",
 ]

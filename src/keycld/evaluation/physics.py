@@ -8,16 +8,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keycld._errors import KeycldError
+from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.physics_file import Constant, Physics, Rejected
 from keycld.mechanics import (
     ConstrainedLagrangian,
     Derived,
     Estimate,
     MechanicalDynamics,
+    Motion,
     Scale,
     derive,
     estimate,
     physical_constants,
+    predict_fan,
     rest_pose,
     terms_of,
 )
@@ -29,6 +33,8 @@ _VAGUE = 0.5
 _MISSED = 0.2
 # So many observed poses are compared to find where the mechanism rests.
 _POSES = 200
+# Half widths of the intervals that a prediction is compared with, in standard errors, by their shares in percent.
+_INTERVALS = {"68": 1.0, "95": 1.96}
 _SIGNED = ("pivot", "line_direction", "gravity_direction", "viscous_rate", "damping_ratio")
 _UNITS = {
     "pivot": "units",
@@ -107,6 +113,36 @@ def measure_physics(
         prediction={},
     )
     return Measured(physics, found)
+
+
+def with_fan(motion: Evaluation, found: Estimate, u: Float[np.ndarray, "*T l"]) -> Evaluation:
+    """Add the prediction with error bars to the motion of a recording that the estimate has not seen.
+
+    It starts from the same given frames (`predict_fan`). The interval of an observed coordinate also has the noise of
+    the observation.
+
+    Args:
+        motion: of `evaluate_motion`.
+        found: the measured parameters.
+        u: input of the first recording of the split, constant `[l]` or held per frame.
+
+    Returns:
+        The motion with the arrays `fan_off` `[T, K, 2]`, observed minus predicted, and `fan_sigma`, and the score
+        `within`: shares of the predicted coordinates that were observed in their 68 and 95 % intervals. As it was if
+        the prediction diverges.
+    """
+    given, dt = motion.scores["given"], motion.scores["dt"]
+    observed, near = motion.arrays["observed"], motion.arrays["predicted"].reshape(len(motion.arrays["predicted"]), -1)
+    start = Motion(near[0], (4 * near[1] - near[2] - 3 * near[0]) / (2 * dt))
+    try:
+        fan = predict_fan(found, observed[:given].reshape(given, -1), u, len(observed), initial=start)
+    except KeycldError:
+        return motion
+    sigma = np.sqrt(fan.sigma**2 + fan.noise[:, None] ** 2)
+    off = observed - fan.keypoints
+    far = np.abs(off / sigma)[given:]
+    within = {share: float(np.mean(far < most)) for share, most in _INTERVALS.items()}
+    return Evaluation(motion.scores | {"within": within}, motion.arrays | {"fan_off": off, "fan_sigma": sigma})
 
 
 def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Constant]:

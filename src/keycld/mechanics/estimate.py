@@ -45,7 +45,7 @@ class Estimate(NamedTuple):
         initial: initial states `[N, dim]` each.
         paths: fitted positions `[N, T, dim]`.
         dt: seconds between frames.
-        uneven: s, the size of errors that depend on where a keypoint is, image-plane units.
+        uneven: the part of the covariance that errors of keypoints have that return with the place `[P, P]`.
         misfit: root mean square of the errors that last for more than a frame, as a share of that of the motion around
             its mean position. Near 1 the fit has ended in a minimum of the cost that is not the lowest, for example
             with a motion that has fallen back by a period, or the law is another one; the covariance knows of neither.
@@ -61,7 +61,7 @@ class Estimate(NamedTuple):
     initial: Motion
     paths: np.ndarray
     dt: float
-    uneven: float
+    uneven: np.ndarray
     misfit: float
 
 
@@ -253,11 +253,11 @@ def _with_covariance(
     rest = placed.effect[..., len(eta) :] - normal.effect @ (inverse @ imitated)
     curvature = placed.matrix[len(eta) :, len(eta) :] - imitated.T @ inverse @ imitated
     size = likely_size(np.einsum("ntdi,ntd->i", rest, scores), _products(rest, covariances), curvature)
-    middle = _products(normal.effect, covariances) + size**2 * imitated @ imitated.T
+    uneven = size**2 * inverse @ imitated @ imitated.T @ inverse
     return Estimate(
         unknowns=unknowns,
         eta=eta,
-        covariance=inverse @ middle @ inverse,
+        covariance=inverse @ _products(normal.effect, covariances) @ inverse + uneven,
         flat=flat,
         scale=scale,
         noise=robust_scale(tracks - near.x)[::2] * math.sqrt(share),
@@ -265,7 +265,7 @@ def _with_covariance(
         initial=near.initial,
         paths=near.x,
         dt=dt,
-        uneven=size,
+        uneven=uneven,
         misfit=_misfit(tracks - near.x, tracks),
     )
 

@@ -44,8 +44,9 @@ def predict_fan(
         δx = Z (Zₙᵀ W Zₙ)⁻¹ Zₙᵀ W e + (∂x/∂η − Z ∂z/∂η) δη,    Z = ∂x/∂z
 
     with e the noise of the given frames, δη the error of the parameters, and ∂z/∂η how the fitted state follows
-    them. The given frames are not among those of the estimate, so both are independent. Where the motion is chaotic,
-    σ grows exponentially, and the linear result holds as long as it is small.
+    them. Errors of keypoints that return with the place have no part in δη: they are the same in what is predicted.
+    The given frames are not among those of the estimate, so both are independent. Where the motion is chaotic, σ grows
+    exponentially, and the linear result holds as long as it is small.
 
     Args:
         found: parameters and their covariance.
@@ -79,7 +80,7 @@ def predict_fan(
     # Errors that last for several frames average out less.
     of_start = np.linalg.inv(normal.inner[0]) * float(np.mean(found.inefficiency))
     variance = np.einsum("tdi,ij,tdj->td", by_start, of_start, by_start)
-    variance += np.einsum("tdi,ij,tdj->td", effect, found.covariance, effect)
+    variance += np.einsum("tdi,ij,tdj->td", effect, found.covariance - found.uneven, effect)
     shape = (frames, dim // 2, 2)
     return Fan(whole.x[0].reshape(shape), np.sqrt(np.maximum(variance, 0.0)).reshape(shape), found.noise)
 

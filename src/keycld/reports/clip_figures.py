@@ -69,6 +69,28 @@ def error_figure(result: Evaluation) -> Figure:
     return curves_figure(curves, "frame", "error, % of the size", limits=limits, logarithmic=True)
 
 
+def fan_figure(result: Evaluation) -> Figure:
+    """Plot how far each keypoint was observed from its prediction, within the 68 and 95 % intervals.
+
+    What is farther than the picture is wide is cut off.
+    """
+    scores, arrays = result.scores, result.arrays
+    rows = slice(scores["given"], None)
+    time, wide = scores["dt"] * np.arange(scores["frames"])[rows], 2 / scores["pixel"]
+    off, sigma = ((arrays[name] / scores["pixel"])[rows] for name in ("fan_off", "fan_sigma"))
+
+    def interval(k: int, d: int, sigmas: float, label: str) -> Curve:
+        high = np.minimum(sigmas * sigma[:, k, d], wide)
+        return Curve(time, 0 * time, label, INK.one, low=-high, high=high)
+
+    panels = []
+    for k, name in enumerate(scores["keypoints"]):
+        for d, axis in enumerate("xy"):
+            observed = Curve(time, np.clip(off[:, k, d], -wide, wide), "observed", INK.text)
+            panels.append((f"{name}, {axis}", [interval(k, d, 1.96, "predicted"), interval(k, d, 1.0, ""), observed]))
+    return panels_figure(panels, "seconds", y_label="pixels", columns=2, panel_size=(4.0, 2.2))
+
+
 def course_figure(result: Evaluation) -> Figure:
     """Plot each angle or place over time, observed and predicted."""
     time = result.scores["dt"] * np.arange(result.scores["frames"])

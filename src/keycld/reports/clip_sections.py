@@ -135,8 +135,22 @@ def prediction(run: Run) -> str:
     ]
     skeleton = html.table(["constraint", "residual, rms", "largest"], residuals, "scores")
     caption = "How far observed distances are from their mean, in all frames of the clip, as a share of the length."
-    parts = html.figure(chart) + html.figure(table) + html.figure(skeleton, caption)
+    parts = html.figure(chart) + html.figure(table) + _fan(run) + html.figure(skeleton, caption)
     return html.section("prediction", "Prediction", html.paragraph(note) + parts)
+
+
+def _fan(run: Run) -> str:
+    """Show the prediction with error bars."""
+    assert run.motion is not None
+    if "within" not in run.motion.scores:
+        return ""
+    within = run.motion.scores["within"]
+    caption = (
+        "Observed minus predicted, by the measured constants and from the same frames. Shades are the 68 and 95 % "
+        "intervals of an observation, with the errors of the first state, of the constants and of the keypoint itself. "
+        f"They hold {within['68']:.0%} and {within['95']:.0%} of what was observed."
+    )
+    return html.figure(_chart(run, "fan", clip_figures.fan_figure(run.motion)), caption)
 
 
 def course(run: Run) -> str:
