@@ -290,7 +290,9 @@ def _weight(error: np.ndarray) -> np.ndarray:
 
 
 def _cost(error: np.ndarray) -> float:
-    total = float(np.sum(_OUTLIER**2 * (1 / _weight(error) - 1)))
+    # A step that goes too far may lead motions to infinity.
+    with np.errstate(over="ignore", divide="ignore"):
+        total = float(np.sum(_OUTLIER**2 * (1 / _weight(error) - 1)))
     return total if math.isfinite(total) else math.inf
 
 
