@@ -17,6 +17,7 @@ from keycld.mechanics import (
     FixedDistance,
     Motion,
     OnLine,
+    State,
     terms_of,
     with_kinds,
 )
@@ -129,6 +130,22 @@ def test_an_unknown_pivot_is_found_and_reported(capsys):
     assert "pivot_bob [" in capsys.readouterr().out
 
 
+def test_a_single_recording_that_a_fit_would_lose_is_followed_first():
+    """A pendulum released near the upright position: fitted at once over all frames, its motion is lost."""
+    _, model = model_of(Constraints(("bob",), (DistanceToPoint("bob", (0.0, 0.0)),)))
+    weight = jnp.array([0.0, 9.0 * float(model.law.masses[0])])
+    dynamics = eqx.tree_at(lambda d: d.law.potential.weight, model.dynamics, weight)
+    begin = Motion(0.6 * jnp.array([jnp.sin(2.9), -jnp.cos(2.9)]), jnp.zeros(2))
+    start = State(begin, {"constants": model.law.constraint(begin.x)})
+    path = dynamics.rollout(start, jnp.zeros(0), DT, 199).x
+    seen = path + 0.02 * jax.random.normal(jax.random.key(1), path.shape)
+    near = eqx.tree_at(lambda d: d.law.potential.weight, dynamics, 1.03 * weight)
+    fitted = identify.refit(near, Tracks(seen[None], jnp.zeros((1, 0)), jnp.array(DT), None))
+    assert float(fitted.rms) < 0.022
+    force = fitted.dynamics.law.acceleration(jnp.array([0.6, 0.0]), jnp.zeros(2), jnp.zeros(0))
+    assert float(force[1]) == pytest.approx(-9.0, rel=0.03)
+
+
 def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch):
     """Their errors are not numbers, and no force can be judged by them."""
     _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
@@ -139,11 +156,11 @@ def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch
         for cost, error in ((jnp.inf, jnp.nan), (9.0, 3.0), (1.0, 0.1))
     )
     tracks = Tracks(x, jnp.zeros((3, 0)), jnp.array(DT), None)
-    monkeypatch.setattr(identify, "_climb", lambda *_: sound)
+    monkeypatch.setattr(identify, "_climb", lambda *_, **__: sound)
     for first in (nothing, lost, sound):
         monkeypatch.setattr(identify, "_fitted", lambda *_, first=first: first)
         assert identify.refit(model.dynamics, tracks) is sound
-    monkeypatch.setattr(identify, "_climb", lambda *_: nothing)
+    monkeypatch.setattr(identify, "_climb", lambda *_, **__: nothing)
     monkeypatch.setattr(identify, "_fitted", lambda *_: nothing)
     assert identify.refit(model.dynamics, tracks, tried=Tried()) is nothing
 

@@ -37,8 +37,9 @@ _LAST_RESORT, _LESS = "perceptron", 0.75
 _FEW = 50
 # Pixels of error with which a law explains the recordings well.
 _GOOD = 0.3
-# A motion whose error is so many times the median has been lost: it began in a wrong state.
-_LOST = 5.0
+# A motion whose error is so many times the median has been lost: it began in a wrong state. Fewer motions than the
+# second number do not show it.
+_LOST, _SEVERAL = 5.0, 4
 # Compiled once for each structure of the law.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -205,10 +206,13 @@ def _kinds(tried: tuple[str, ...] | None) -> tuple[str, ...]:
 
 
 def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> Fitted:
-    """Fit a quarter, half and the whole of the recordings, each from the result of the last."""
+    """Fit a quarter, half and the whole of the recordings, each from the result of the last; of a few in eighths.
+
+    A motion that a longer part loses among many does not lead the law away.
+    """
     length, fitted = tracks.x.shape[1], None
-    for frames, iterations in ((length // 4, 8), (length // 2, 8)):
-        fitted = _fitted(dynamics, tracks, fitted, frames, iterations, active)
+    for eighths in range(2, 8) if len(tracks.x) < _SEVERAL else (2, 4):
+        fitted = _fitted(dynamics, tracks, fitted, length * eighths // 8, 8, active)
         dynamics = fitted.dynamics
     return _fitted(dynamics, tracks, fitted, active=active)
 
@@ -218,7 +222,7 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
 
     Where some motions were lost or diverged, because the first frames show their velocities too badly for the whole of
     a recording, growing parts are fitted as in `identify`: lost motions say nothing true of the parameters. Motions
-    with own parameters are fitted first, to growing parts and with the given law.
+    with own parameters, and those of a few recordings, are fitted first, to growing parts and with the given law.
 
     A potential energy of free form gives way to forces of known kinds, identified anew, where these explain the
     keypoints about as well: errors of earlier keypoints may have hidden them.
@@ -228,10 +232,12 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
         tracks: of all recordings.
         tried: judge the terms of V and R again: drop those that are not worth enough, as in `identify`; None: keep all.
     """
-    # Own parameters begin far from where they end, and those of the law must not follow them there.
-    fitted = _fitted(dynamics, tracks, None if tracks.own is None else explain(dynamics, tracks))
+    # Own parameters and lost motions begin far from where they end, and the law must not follow them there.
+    few = len(tracks.x) < _SEVERAL
+    fitted = _fitted(dynamics, tracks, explain(dynamics, tracks) if few or tracks.own is not None else None)
     # Errors of a motion that diverged are no numbers.
-    if tracks.own is None and not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors):
+    lost = few or not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors)
+    if tracks.own is None and lost:
         fitted = _cheapest([fitted, _climb(dynamics, tracks)])
     if tried is not None and _LAST_RESORT in terms_of(_lagrangian(dynamics)):
         known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=_kinds(tried.kinds)))
