@@ -138,6 +138,6 @@ __all__ = [
     "fitted_tracks",
     "valid_prediction_time",
     "validation_epsilon",
-    "with_given",
     "with_fan",
+    "with_given",
 ]
