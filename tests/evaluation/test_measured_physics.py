@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.evaluation import Evaluation, load_physics, measure_physics, save_physics, with_fan
+from keycld.evaluation import Evaluation, load_physics, measure_physics, restless, save_physics, with_fan
 from keycld.mechanics import (
     RK4,
     ConstrainedLagrangian,
@@ -116,7 +116,9 @@ def motion(seed):
         start = State(Motion(first, jnp.array([0.3 * np.cos(angle), 0.3 * np.sin(angle)])), {})
         found.append(np.asarray(law.rollout(start, jnp.zeros(0), DT, FRAMES - 1).x).reshape(-1, 1, 2))
     observed = found[0] + NOISE * np.random.default_rng(seed).standard_normal(found[0].shape)
-    return Evaluation({"given": 10, "dt": DT}, {"observed": observed, "predicted": found[1]})
+    return Evaluation(
+        {"given": 10, "dt": DT, "pixel": 0.03, "keypoints": ["ball"]}, {"observed": observed, "predicted": found[1]}
+    )
 
 
 def test_a_new_motion_is_within_its_fan_as_often_as_it_says(measured):
@@ -133,5 +135,11 @@ def test_a_prediction_that_diverges_has_no_fan(measured, monkeypatch):
         raise KeycldError("the prediction diverges, so that it has no error bars: predict fewer frames.")
 
     monkeypatch.setattr("keycld.evaluation.physics.predict_fan", diverging)
-    before = motion(0)
-    assert with_fan(before, measured.estimate, np.zeros(0)) is before
+    found = with_fan(motion(0), measured.estimate, np.zeros(0))
+    assert "within" not in found.scores and found.arrays.keys() == motion(0).arrays.keys()
+    assert found.scores["noise"] == {"ball": pytest.approx(NOISE / 0.03, rel=0.15)}
+
+
+def test_keypoints_far_from_the_fitted_motion_are_named():
+    assert restless({"cart": 0.1, "tip": 0.45}) == ""
+    assert "'tip' 0.84 pixels" in restless({"cart": 0.1, "tip": 0.84})

@@ -235,7 +235,7 @@ def _measure(
     """Measure the constants on the training keypoints; return them with the scores of the prediction, and its fan."""
     import jax.numpy as jnp
 
-    from keycld.evaluation import fitted_tracks, measure_physics, with_fan
+    from keycld.evaluation import fitted_tracks, measure_physics, restless, with_fan
     from keycld.mechanics import MechanicalDynamics, terms_of
     from keycld.models.keycld.identify import Tracks, evidence
     from keycld.models.keycld.model import KeyCLD
@@ -256,8 +256,10 @@ def _measure(
         dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
     )
     motion = with_fan(motion, measured.estimate, data.split("test").input[0])
-    said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton", "within")
+    said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton", "noise", "within")
     prediction = {name: motion.scores[name] for name in said if name in motion.scores}
+    if caution := restless(prediction["noise"]):
+        print(f"caution      {caution}", flush=True)
     return {**measured.physics, "prediction": prediction, "forces": sorted(terms_of(model.law))}, motion
 
 

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.physics import Measured as Measured
     from keycld.evaluation.physics import constants_of as constants_of
     from keycld.evaluation.physics import measure_physics as measure_physics
+    from keycld.evaluation.physics import restless as restless
     from keycld.evaluation.physics import with_fan as with_fan
     from keycld.evaluation.physics_file import PHYSICS as PHYSICS
     from keycld.evaluation.physics_file import Constant as Constant
@@ -127,6 +128,7 @@ __all__ = [
     "published_vpt",
     "references",
     "relative_errors",
+    "restless",
     "save_evaluation",
     "save_physics",
     "score_symetric",

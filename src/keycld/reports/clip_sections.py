@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from keycld.drawing import save_figure
+from keycld.evaluation import restless
 from keycld.reports import clip_figures, html
 from keycld.reports.run import Run
 
@@ -50,6 +51,8 @@ def constants(run: Run) -> str:
         for name, each in run.physics["constants"].items()
         if "note" in each
     )
+    caution = restless(run.motion.scores.get("noise", {}))
+    notes = (html.paragraph(f"Caution: {html.text(caution)}") if caution else "") + notes
     table = html.table(["constant", "value", "given", "unit"], rows, "scores")
     return html.section(
         "constants",
