@@ -211,7 +211,7 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
     A motion that a longer part loses among many does not lead the law away.
     """
     length, fitted = tracks.x.shape[1], None
-    for eighths in range(2, 8) if len(tracks.x) < _SEVERAL else (2, 4):
+    for eighths in range(1, 8) if len(tracks.x) < _SEVERAL else (2, 4):
         fitted = _fitted(dynamics, tracks, fitted, length * eighths // 8, 8, active)
         dynamics = fitted.dynamics
     return _fitted(dynamics, tracks, fitted, active=active)
