@@ -118,7 +118,7 @@ def watch(
         else:
             model = train_model(data.folder, run, settings, seed=seed)
             motion = evaluate_motion(model, data, progress=Counted("predict"))
-            save_evaluation(run, MOTION, motion)
+            save_evaluation(run, MOTION, motion)  # Kept if the constants cannot be measured.
             physics, motion = _measure(run, model, data, motion, chosen, scale)
             save_evaluation(run, MOTION, motion)
             physics["given"] = measured_by_hand(scale, gravity)
