@@ -19,6 +19,7 @@ from keycld.vision.moving_parts import Part as Part
 from keycld.vision.moving_parts import moving_parts as moving_parts
 from keycld.vision.renderer import AbstractRenderer as AbstractRenderer
 from keycld.vision.renderer import Renderer as Renderer
+from keycld.vision.still_background import still_background as still_background
 from keycld.vision.unet import AbstractUNet as AbstractUNet
 from keycld.vision.unet import LightUNet as LightUNet
 from keycld.vision.unet import PaperUNet as PaperUNet
@@ -46,4 +47,5 @@ __all__ = [
     "mean_in_chunks",
     "moving_parts",
     "spatial_softmax",
+    "still_background",
 ]

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
+from keycld.vision.still_background import still_background
+
 # A pixel moves if a colour differs from the background by so much, of 1, and by so many standard deviations.
 _DIFFERS, _NOISES = 0.08, 6.0
 # Colours of parts are further apart than this, and than so many deviations within a part.
@@ -47,17 +49,16 @@ class Part:
 def moving_parts(frames: UInt8[np.ndarray, "T H W 3"]) -> list[Part]:
     """Return the parts that move, largest first.
 
-    Pixels that differ from the median frame are grouped by colour. The pixels of a colour are one part, or several if
+    Pixels that differ from the background are grouped by colour. The pixels of a colour are one part, or several if
     most frames show as many spots of it. Parts of one colour that touch are one part here, which changes its shape.
 
     Args:
         frames: of a camera at rest, one after another.
     """
     pictures = frames.astype(np.float32) / 255.0
-    background = np.median(pictures[:: max(1, len(frames) // 200)], axis=0)
+    background = still_background(frames)
     noise = np.median(np.abs(np.diff(pictures[:60], axis=0))) / 0.67 / np.sqrt(2)
     least = max(_DIFFERS, min(_NOISES * float(noise), 0.16))
-    background = _uncovered(pictures, background, least)
     off = np.max(np.abs(pictures - background[None]), axis=-1)
     moves = off > least
     colours = _colours(pictures, moves, off)
@@ -73,26 +74,6 @@ def moving_parts(frames: UInt8[np.ndarray, "T H W 3"]) -> list[Part]:
     for k, colour in enumerate(colours):
         found += _spots(moves & (nearest == k), weight, colour, total)
     return sorted((part for part in found if part.area >= _SHARE), key=lambda part: -part.area)
-
-
-def _uncovered(pictures: np.ndarray, background: np.ndarray, least: float) -> np.ndarray:
-    """Return the background with what is seen where a part is in the median frame: the colour of the surroundings."""
-    from scipy import ndimage
-
-    moves = np.max(np.abs(pictures - background[None]), axis=-1) > least
-    somewhere = np.asarray(ndimage.binary_opening(moves.mean(axis=0) > 0.01), bool)
-    around = ndimage.binary_dilation(somewhere, iterations=6) & ~somewhere
-    if not around.any():
-        return background
-    ring = np.median(background[around], axis=0)
-    ground = moves & (np.linalg.norm(pictures - ring[None, None, None], axis=-1) < 0.6 * _APART)
-    ground &= (np.linalg.norm(background - ring[None, None], axis=-1) > _APART)[None]
-    often = ground.mean(axis=0) > 0.1
-    found = background.copy()
-    rows, columns = np.nonzero(often)
-    for row, column in zip(rows, columns, strict=True):
-        found[row, column] = np.median(pictures[ground[:, row, column], row, column], axis=0)
-    return found
 
 
 def _unmixed(colours: np.ndarray, background: np.ndarray) -> np.ndarray:

@@ -33,13 +33,12 @@ from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
 from keycld.models.keycld.velocity_prior import VelocityPrior
+from keycld.vision import still_background
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
 # Radians that positions must span around a pivot to determine it alone.
 _TURNED = 1.5
-# A median frame is that of about so many frames.
-_MEDIAN = 300
 # About how many recordings a fit observes, and a comparison.
 FITTED, COMPARED = 150, 8
 # Consecutive frames of a recording that a fit observes, at most. They tell the forces; more frames cost memory and time
@@ -71,19 +70,18 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
 
 
 def measure_background(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Put the median frame of the training data in place of the mean frame, and the deviation from it.
+    """Put what is behind the parts in place of the mean frame, and the deviation from it.
 
-    Of a clip with one motion the mean frame shows the parts where they turn round, faintly; the median shows the
-    background wherever it is seen for more than half of the time.
+    Of a clip with one motion the mean frame shows the parts where they turn round, faintly.
 
     Raises:
         KeycldError: all training frames are the same.
     """
     model, data = measure_statistics(model, data)
     frames = np.asarray(data.image).reshape(-1, *data.image.shape[2:])
-    median = np.median(frames[:: max(1, len(frames) // _MEDIAN)], axis=0) / 255.0
-    deviation = np.sqrt(np.mean([np.mean((frame / 255.0 - median) ** 2) for frame in frames]))
-    background = jnp.asarray(median, jnp.float32)
+    found = still_background(frames)
+    deviation = np.sqrt(np.mean([np.mean((frame / 255.0 - found) ** 2) for frame in frames]))
+    background = jnp.asarray(found, jnp.float32)
     return eqx.tree_at(
         lambda m: (m.estimator.standardise.mean, m.estimator.standardise.deviation, m.renderer.background),
         model,
