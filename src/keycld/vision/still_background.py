@@ -1,7 +1,7 @@
 """What a camera at rest sees behind the parts that move."""
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 
 # Frames that are compared.
 _FRAMES = 100
@@ -12,6 +12,8 @@ _COLOURS, _LEAST = 3, 0.04
 # Cost of a difference of 1 between neighbours, next to that of a colour that is seen in 1/e of the frames.
 _EDGE = 10.0
 _SWEEPS = 40
+# Share of a part that its middle has at least, and width of its border in pixels.
+_MIDDLE, _BORDER = 0.35, 3
 # Places whose frames are compared at a time.
 _CHUNK = 256
 
@@ -31,7 +33,11 @@ def still_background(frames: UInt8[np.ndarray, "N H W 3"]) -> Float[np.ndarray, 
     small: the picture with the shortest and faintest edges, so that a part which seldom moves is left out of it, and
     the end of a rod at its pivot does not grow. It begins with the colours that are nearest to a harmonic continuation
     of all places that hardly ever change, and is improved place by place (iterated conditional modes; Besag, J. R.
-    Stat. Soc. B 48, 259, 1986). A place that is never seen without the part keeps the colour of the part.
+    Stat. Soc. B 48, 259, 1986).
+
+    The middle of a part that moves by less than its length is never seen without it. Places that always have the colour
+    of what passes beside them are taken for such a middle if they are more than a third of all that has this colour in
+    a frame, and do not reach the border of the picture: their colours are continued from around them.
 
     Args:
         frames: of a camera at rest, at any times.
@@ -49,7 +55,53 @@ def still_background(frames: UInt8[np.ndarray, "N H W 3"]) -> Float[np.ndarray, 
     colours[:, ~still], shares = _colours(np.moveaxis(some[:, ~still], 0, 1), alike)
     costs[:, ~still] = np.where(shares >= _LEAST, -np.log(np.maximum(shares, _LEAST)), np.inf)
     costs[0, ~still] = -np.log(shares[0])
-    return _smoothest(colours, costs, _continued(median, still))
+    choice = _smoothest(colours, costs, _continued(median, still))
+    found = _picture(colours, choice)
+    passing = np.isfinite(costs) & (np.arange(_COLOURS)[:, None, None] != choice) & ~still
+    hidden = _hidden(some, found, still, np.where(passing[..., None], colours, np.inf), 2 * alike)
+    return _continued(found, ~hidden) if hidden.any() else found
+
+
+def _picture(colours: Float[np.ndarray, "k H W 3"], choice: np.ndarray) -> Float[np.ndarray, "H W 3"]:
+    return np.take_along_axis(colours, choice[None, ..., None], axis=0)[0]
+
+
+def _hidden(
+    frames: Float[np.ndarray, "N H W 3"],
+    found: Float[np.ndarray, "H W 3"],
+    still: Bool[np.ndarray, "H W"],
+    passing: Float[np.ndarray, "k H W 3"],
+    alike: float,
+) -> Bool[np.ndarray, "H W"]:
+    """Return the places that are always behind the middle of a part, and the border of the part around them.
+
+    Args:
+        frames: the frames that are compared.
+        found: the background so far.
+        still: where it hardly ever changes.
+        passing: colours of parts that pass a place; infinite where there are fewer.
+        alike: colours that are nearer than this are one.
+    """
+    from scipy import ndimage
+
+    # Places whose background is a colour that passes a neighbour.
+    beside = np.zeros_like(still)
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        beside |= np.any(_distance(np.roll(passing, step, axis=axis + 1), found) < alike, axis=0)
+    hidden = np.zeros_like(still)
+    while beside.any():
+        colour = found[tuple(np.argwhere(beside)[0])]
+        same = _distance(found, colour) < alike
+        places = np.zeros(same.shape, int)
+        ndimage.label(same, output=places)
+        for k in np.unique(places[beside & same]):
+            middle = places == k
+            at_border = middle[[0, -1]].any() or middle[:, [0, -1]].any()
+            seen = (_distance(frames, np.mean(found[middle], axis=0)) < alike) & ~(still | middle)
+            if not at_border and np.sum(middle) > _MIDDLE * (np.sum(seen) / len(frames) + np.sum(middle)):
+                hidden |= np.asarray(ndimage.binary_dilation(middle, iterations=_BORDER), bool)
+        beside &= ~same
+    return hidden
 
 
 def _distance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
@@ -103,24 +155,20 @@ def _continued(picture: Float[np.ndarray, "H W 3"], known: Bool[np.ndarray, "H W
 
 def _smoothest(
     colours: Float[np.ndarray, "k H W 3"], costs: Float[np.ndarray, "k H W"], first: Float[np.ndarray, "H W 3"]
-) -> Float[np.ndarray, "H W 3"]:
-    """Return the picture of one colour from each place whose cost no other colour of a single place makes less."""
+) -> Int[np.ndarray, "H W"]:
+    """Return which colour each place has in the picture whose cost no change of a single place makes less."""
     choice = np.argmin(np.where(np.isfinite(costs), _distance(colours, first), np.inf), axis=0)
     height, width = choice.shape
     white = np.indices(choice.shape).sum(axis=0) % 2 == 0
-
-    def picture() -> np.ndarray:
-        return np.take_along_axis(colours, choice[None, ..., None], axis=0)[0]
-
     for _ in range(_SWEEPS):
         before = choice
         # The neighbours of a white place are black.
         for field in (white, ~white):
-            padded = np.pad(picture(), ((1, 1), (1, 1), (0, 0)), mode="edge")
+            padded = np.pad(_picture(colours, choice), ((1, 1), (1, 1), (0, 0)), mode="edge")
             total = costs.copy()
             for row, column in ((0, 1), (2, 1), (1, 0), (1, 2)):
                 total += _EDGE * _distance(colours, padded[row : row + height, column : column + width])
             choice = np.where(field, np.argmin(total, axis=0), choice)
         if np.array_equal(choice, before):
             break
-    return picture()
+    return choice
