@@ -10,7 +10,7 @@ _ALIKE, _NOISES = 0.04, 4.0
 # Colours that are told apart at a place, and share of the frames that shows one.
 _COLOURS, _LEAST = 3, 0.04
 # Cost of a difference of 1 between neighbours, next to that of a colour that is seen in 1/e of the frames.
-_EDGE = 10.0
+_EDGE = 5.0
 _SWEEPS = 40
 # Share of a part that its middle has at least, and width of its border in pixels.
 _MIDDLE, _BORDER = 0.35, 3
@@ -28,7 +28,7 @@ def still_background(frames: UInt8[np.ndarray, "N H W 3"]) -> Float[np.ndarray, 
     Each place p has up to three colours a, those that most frames agree on, with shares s(p, a) of the frames. The
     background takes the one from each that makes
 
-        Σ_p −log s(p, a_p) + λ Σ_(p,q) |a_p − a_q|,    (p, q) neighbours, λ = 10,
+        Σ_p −log s(p, a_p) + λ Σ_(p,q) |a_p − a_q|,    (p, q) neighbours, λ = 5,
 
     small: the picture with the shortest and faintest edges, so that a part which seldom moves is left out of it, and
     the end of a rod at its pivot does not grow. It begins with the colours that are nearest to a harmonic continuation
