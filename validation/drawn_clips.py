@@ -230,6 +230,18 @@ def spring_cart(random: np.random.Generator, camera: Camera) -> Drawn:
     return Drawn(canvas.finished(), single(square, friction))
 
 
+def short_swing(random: np.random.Generator, camera: Camera) -> Drawn:
+    """A cart on a rail of any direction that moves by less than its length; its springs are not seen."""
+    canvas, tilt = Canvas(random, camera), random.uniform(-0.4, 0.4)
+    along = np.array([np.cos(tilt), np.sin(tilt)])
+    middle = random.uniform(-0.15, 0.15, 2)
+    square, friction = random.uniform(10, 30), random.uniform(0.05, 0.25)
+    x = pendulum(np.array([0.01, 0.0]), square, friction, camera) / 0.01 * random.uniform(0.08, 0.14)
+    cart = middle + x[:, None] * along
+    canvas.bar(cart - 0.1 * along, cart + 0.1 * along, 0.09, canvas.colour())
+    return Drawn(canvas.finished(), single(square, friction))
+
+
 def hanging_cart_pole(random: np.random.Generator, camera: Camera) -> Drawn:
     """A cart on a level rail with a pole that hangs from it."""
     canvas, length, place = Canvas(random, camera), random.uniform(0.4, 0.55), np.array([0.0, random.uniform(0.2, 0.4)])
@@ -251,6 +263,7 @@ KINDS = {
     "two_balls": (two_balls, "double-pendulum"),
     "spring_cart": (spring_cart, "spring"),
     "hanging_cart_pole": (hanging_cart_pole, "cart-pole"),
+    "short_swing": (short_swing, "spring"),
 }
 """What is drawn, and the mechanism that it shows."""
 

@@ -47,6 +47,7 @@ CLIPS = (
     Clip("spring_cart", 300, Camera()),
     Clip("spring_cart", 301, Camera(1800, 30.0)),
     Clip("hanging_cart_pole", 300, Camera()),
+    Clip("short_swing", 300, Camera()),
 )
 KEYCLD = Path(sys.executable).with_name("keycld")
 LIMITS = {"period": 0.01, "viscous_rate": 0.1}
