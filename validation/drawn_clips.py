@@ -214,32 +214,43 @@ def two_balls(random: np.random.Generator, camera: Camera) -> Drawn:
     return Drawn(canvas.finished(), hanging(lengths, masses, 0.004) | {"gravity_direction": camera.tilt - 90})
 
 
-def spring_cart(random: np.random.Generator, camera: Camera) -> Drawn:
-    """A cart on a rail of any direction, on a zigzag spring."""
+class _Rail(NamedTuple):
+    """A cart on a spring, on a rail of any direction: what it is drawn on, its places, and its constants."""
+
+    canvas: Canvas
+    along: np.ndarray
+    middle: np.ndarray
+    cart: np.ndarray
+    truth: dict[str, float]
+
+
+def _rail(random: np.random.Generator, camera: Camera, swing: tuple[float, float]) -> _Rail:
+    """Return a cart that begins between two distances from the middle of its swing."""
     canvas, tilt = Canvas(random, camera), random.uniform(-0.4, 0.4)
     along = np.array([np.cos(tilt), np.sin(tilt)])
     middle = random.uniform(-0.15, 0.15, 2)
     square, friction = random.uniform(10, 30), random.uniform(0.05, 0.25)
-    x = pendulum(np.array([0.01, 0.0]), square, friction, camera) / 0.01 * random.uniform(0.25, 0.4)
-    cart, wall, across = middle + x[:, None] * along, middle - 0.8 * along, np.array([-along[1], along[0]])
+    x = pendulum(np.array([0.01, 0.0]), square, friction, camera) / 0.01 * random.uniform(*swing)
+    return _Rail(canvas, along, middle, middle + x[:, None] * along, single(square, friction))
+
+
+def spring_cart(random: np.random.Generator, camera: Camera) -> Drawn:
+    """A cart on a rail of any direction, on a zigzag spring."""
+    canvas, along, middle, cart, truth = _rail(random, camera, (0.25, 0.4))
+    wall, across = middle - 0.8 * along, np.array([-along[1], along[0]])
     metal = canvas.colour()
     knots = [wall + (cart - wall) * share + across * side * 0.05 for share, side in _ZIGZAG]
     for first, last in zip(knots[:-1], knots[1:], strict=True):
         canvas.bar(first, last, 0.012, metal)
     canvas.bar(cart - 0.1 * along, cart + 0.1 * along, 0.09, canvas.colour())
-    return Drawn(canvas.finished(), single(square, friction))
+    return Drawn(canvas.finished(), truth)
 
 
 def short_swing(random: np.random.Generator, camera: Camera) -> Drawn:
-    """A cart on a rail of any direction that moves by less than its length; its springs are not seen."""
-    canvas, tilt = Canvas(random, camera), random.uniform(-0.4, 0.4)
-    along = np.array([np.cos(tilt), np.sin(tilt)])
-    middle = random.uniform(-0.15, 0.15, 2)
-    square, friction = random.uniform(10, 30), random.uniform(0.05, 0.25)
-    x = pendulum(np.array([0.01, 0.0]), square, friction, camera) / 0.01 * random.uniform(0.08, 0.14)
-    cart = middle + x[:, None] * along
+    """A cart that moves by less than its length; its spring is not seen."""
+    canvas, along, _, cart, truth = _rail(random, camera, (0.08, 0.14))
     canvas.bar(cart - 0.1 * along, cart + 0.1 * along, 0.09, canvas.colour())
-    return Drawn(canvas.finished(), single(square, friction))
+    return Drawn(canvas.finished(), truth)
 
 
 def hanging_cart_pole(random: np.random.Generator, camera: Camera) -> Drawn:
