@@ -117,7 +117,10 @@ def _colours(
     shares = np.zeros((_COLOURS, len(seen)), np.float32)
     for begin in range(0, len(seen), _CHUNK):
         chunk = seen[begin : begin + _CHUNK]
-        near = _distance(chunk[:, :, None], chunk[:, None]) < alike
+        squares = np.sum(chunk**2, axis=-1)
+        # |a − b|² of all pairs of frames.
+        apart = squares[:, :, None] + squares[:, None] - 2 * chunk @ chunk.swapaxes(1, 2)
+        near = apart < 3 * alike**2
         left = np.ones(chunk.shape[:2], bool)
         for k in range(_COLOURS):
             best = np.argmax(np.sum(near & left[:, None], axis=-1) * left, axis=1)
