@@ -88,6 +88,22 @@ def test_terms_that_do_not_act_are_dropped_at_the_end(capsys):
     assert set(terms_of(left.law)) == {"springs"} and "affine V, springs;" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(("takes", "found"), [(True, {"springs", "viscous"}), (False, {"springs", "drag"})])
+def test_forces_that_explain_no_more_give_way_to_a_spring_and_viscous_friction(monkeypatch, takes, found):
+    """x'' = −16 x − 0.5 x', where the judgement has left another friction than the one that acts."""
+    phase, size = np.linspace(0, 6, 6)[:, None], np.linspace(0.2, 0.6, 6)[:, None]
+    time = DT * np.arange(FRAMES)
+    x = size * np.exp(-0.25 * time) * np.sin(np.sqrt(16 - 0.25**2) * time + phase)
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    tracks = Tracks(jnp.stack([x, 0 * x], axis=-1), jnp.zeros((6, 0)), jnp.array(DT), jnp.zeros(1))
+    law = with_kinds(model.law, ("springs", "drag"), key=jax.random.key(0))
+    monkeypatch.setattr(
+        identify, "_selected", lambda fitted, *_: (eqx.tree_at(lambda d: d.law, fitted.dynamics, law), {})
+    )
+    tried = Tried(("springs", "viscous", "drag"), takes=takes)
+    assert set(terms_of(identify.identify(model.dynamics, tracks, pixel=0.03, tried=tried).dynamics.law)) == found
+
+
 def test_a_potential_of_free_form_gives_way_to_a_spring_that_explains_as_much(capsys):
     """x'' = −16 x: errors of earlier keypoints may have hidden the spring."""
     phase, size = np.linspace(0, 6, 12)[:, None], np.linspace(0.2, 0.6, 12)[:, None]

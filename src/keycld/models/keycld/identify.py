@@ -33,6 +33,8 @@ WORTH = 0.2
 _FOLLOW = 0.2
 # The potential energy of free form stays if without it the error would be larger than with it divided by this.
 _LAST_RESORT, _LESS = "perceptron", 0.75
+# What a mechanism has before other forces are suspected.
+_PLAIN = ("springs", "viscous")
 # About how many recordings all terms together are fitted to.
 _FEW = 50
 # Pixels of error with which a law explains the recordings well.
@@ -80,7 +82,8 @@ class Tried:
     Attributes:
         kinds: of the terms; None: all but the last resort.
         worth: a term stays if without it the cost of the fit would rise by this share.
-        takes: each friction must take energy next to the others too, not only in their place.
+        takes: each friction must take energy next to the others too, not only in their place; and other forces must
+            explain more than springs and viscous friction do.
         located: pivots that the positions determine alone, because they span 1.5 rad, are not fitted with the dynamics.
             A real mechanism deviates from every law by more than from its circle, and would pull the pivot away.
     """
@@ -121,8 +124,9 @@ def identify(
     cost would hardly rise without it: ΔJ = ½ θᵀ S θ, with S the curvature of the cost in the parameters θ of the term,
     all others eliminated. Those of the highest rank are judged first, and the others take over what they can. What is
     left is fitted again, from there and, if this explains the recordings less well than all terms did, from nothing. It
-    stays if it is worth more than gravity alone. If the result explains the recordings badly, a potential energy of
-    free form is added, unless the kinds are limited.
+    stays if it is worth more than gravity alone. With `tried.takes`, springs and viscous friction take the place of
+    other forces that explain the recordings hardly better, because ΔJ does not tell forces apart that do the same. If
+    the result explains the recordings badly, a potential energy of free form is added, unless the kinds are limited.
 
     Args:
         dynamics: V affine; its parameters do not matter.
@@ -146,6 +150,11 @@ def identify(
         if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
             selected = _cheapest([selected, again])
+        plain = tuple(kind for kind in _PLAIN if kind in _kinds(tried.kinds))
+        if tried.takes and not set(kept) <= set(plain):
+            simple = _identified(dynamics, plain, tracks)
+            if simple.cost <= (1 + tried.worth) * selected.cost:
+                selected = simple
         if selected.cost < best.cost / (1 + tried.worth):
             best = selected
     if best.rms > _GOOD * pixel and tried.kinds is None:
