@@ -96,9 +96,10 @@ def _hidden(
         ndimage.label(same, output=places)
         for k in np.unique(places[beside & same]):
             middle = places == k
-            at_border = middle[[0, -1]].any() or middle[:, [0, -1]].any()
-            seen = (_distance(frames, np.mean(found[middle], axis=0)) < alike) & ~(still | middle)
-            if not at_border and np.sum(middle) > _MIDDLE * (np.sum(seen) / len(frames) + np.sum(middle)):
+            if middle[[0, -1]].any() or middle[:, [0, -1]].any():
+                continue
+            seen = _distance(frames[:, ~(still | middle)], np.mean(found[middle], axis=0)) < alike
+            if np.sum(middle) > _MIDDLE * (np.sum(seen) / len(frames) + np.sum(middle)):
                 hidden |= np.asarray(ndimage.binary_dilation(middle, iterations=_BORDER), bool)
         beside &= ~same
     return hidden
