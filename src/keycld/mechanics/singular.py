@@ -1,5 +1,6 @@
 """Constraints whose first derivative allows motions that they forbid, so that eq. (6) is wrong."""
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float
@@ -23,10 +24,9 @@ def is_singular(phi: AbstractConstraint, x: Float[Array, "M dim"]) -> bool:
         phi: Φ.
         x: positions, image-plane units.
     """
-    slopes = np.asarray(jax.vmap(jax.jacfwd(phi))(x), float)
+    slopes, bends = (np.asarray(each, float) for each in _derivatives(phi, x))
     if not slopes.shape[1]:
         return False
-    bends = np.asarray(jax.vmap(jax.hessian(phi))(x), float)
     length = np.maximum(np.linalg.norm(slopes, axis=-1), 1e-9)
     slopes, bends = slopes / length[..., None], bends / length[..., None, None]
     return bool(np.mean([_bent(*each) for each in zip(slopes, bends, strict=True)]) > 0.5)
@@ -43,9 +43,15 @@ def turns_within(phi: AbstractConstraint, x: Float[Array, "M dim"], step: float)
         x: positions, image-plane units.
         step: image-plane units.
     """
-    length = np.linalg.norm(np.asarray(jax.vmap(jax.jacfwd(phi))(x), float), axis=-1)
-    bends = np.linalg.norm(np.asarray(jax.vmap(jax.hessian(phi))(x), float), ord=2, axis=(-2, -1))
+    slopes, bends = (np.asarray(each, float) for each in _derivatives(phi, x))
+    length, bends = np.linalg.norm(slopes, axis=-1), np.linalg.norm(bends, ord=2, axis=(-2, -1))
     return np.flatnonzero(np.mean(step * bends > length, axis=0) > 0.5).tolist()
+
+
+@eqx.filter_jit
+def _derivatives(phi: AbstractConstraint, x: Array) -> tuple[Array, Array]:
+    """Return DΦ `[M, n, dim]` and D²Φ `[M, n, dim, dim]`."""
+    return jax.vmap(jax.jacfwd(phi))(x), jax.vmap(jax.hessian(phi))(x)
 
 
 def _bent(slopes: np.ndarray, bends: np.ndarray) -> bool:

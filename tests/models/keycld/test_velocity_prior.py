@@ -38,7 +38,7 @@ def rates(state):
 
 def recorded(pendulum, initial, frames=12):
     """Keypoints of motions, observed with white errors."""
-    x = jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames - 1).x)(initial)
+    x = jax.jit(jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames - 1).x))(initial)
     return x + ERROR * jax.random.normal(jax.random.key(5), x.shape)
 
 
@@ -66,10 +66,15 @@ def measured(pendulum, x, prior):
     )[0]
 
 
+def expected(prior, pendulum):
+    """The prior as a function of observed states."""
+    return jax.jit(jax.vmap(lambda s: prior(pendulum, s, NOTHING)))
+
+
 def after_rest(pendulum, angle, frames):
     """Motions that were at rest so many frames before."""
     rest = states(angle, jnp.zeros_like(angle))
-    moved = jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames))(rest)
+    moved = jax.jit(jax.vmap(lambda s: pendulum.rollout(s, NOTHING, DT, frames)))(rest)
     return State(Motion(moved.x[:, -1], moved.v[:, -1]), rest.parameters)
 
 
@@ -81,7 +86,7 @@ def test_both_kinds_of_motion_have_smaller_errors_than_under_either_rule(pendulu
     )
     angle = jnp.concatenate([angles(400), angles(400, 3)])
     seen = states(angle, true + OBSERVATION * jax.random.normal(jax.random.key(2), (800,)))
-    found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(seen)
+    found = expected(known, pendulum)(seen)
     np.testing.assert_allclose(jnp.sum(found.coordinates.x * found.coordinates.v, -1), 0, atol=1e-5)  # on the circle
 
     def errors(rate):
@@ -99,7 +104,7 @@ def test_a_fast_motion_against_gravity_keeps_its_observed_velocity(pendulum):
     """It cannot have begun at rest; a falling one may have."""
     known = VelocityPrior(DT, jnp.array(0.01), jnp.array(OBSERVATION), jnp.array(2.0))
     fast = states(angles(20), 3.0 * jnp.sign(angles(20)))
-    found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(fast)
+    found = expected(known, pendulum)(fast)
     np.testing.assert_allclose(found.coordinates.v, fast.coordinates.v, atol=2e-3)
 
 
@@ -113,7 +118,7 @@ def test_a_motion_taken_up_after_rest_is_not_pulled_back_to_it(pendulum, frames)
     x, v = taken.coordinates
     tangent = jnp.stack([-x[:, 1], x[:, 0]], -1)
     seen = State(Motion(x, v + error[:, None] * tangent), taken.parameters)
-    found = jax.vmap(lambda s: known(pendulum, s, NOTHING))(seen)
+    found = expected(known, pendulum)(seen)
     off = rates(found) - true
     assert float(jnp.sqrt(jnp.mean(off**2))) < 1.15 * OBSERVATION
     assert abs(float(jnp.mean(off * jnp.sign(true)))) < 0.35 * OBSERVATION
@@ -121,7 +126,7 @@ def test_a_motion_taken_up_after_rest_is_not_pulled_back_to_it(pendulum, frames)
 
 def test_before_anything_is_measured_nothing_changes(pendulum):
     slow = states(angles(20), jnp.full(20, 0.1))
-    found = jax.vmap(lambda s: VelocityPrior.unknown()(pendulum, s, NOTHING))(slow)
+    found = expected(VelocityPrior.unknown(), pendulum)(slow)
     np.testing.assert_array_equal(found.coordinates.v, slow.coordinates.v)
 
 
@@ -167,8 +172,8 @@ def test_recordings_from_the_middle_of_motions_give_no_prior(pendulum):
     thrown = states(angles(150), 2.0 * jax.random.normal(jax.random.key(4), (150,)))
     x = recorded(pendulum, thrown)
     model = measured(pendulum, x, VelocityPrior.unknown())
-    seen = jax.vmap(lambda x: model.initial_state(pendulum, x[:2], DT, NOTHING))(x)
-    found = jax.vmap(lambda s: model.velocity_prior(pendulum, s, NOTHING))(seen)
+    seen = jax.jit(jax.vmap(lambda x: model.initial_state(pendulum, x[:2], DT, NOTHING)))(x)
+    found = expected(model.velocity_prior, pendulum)(seen)
     off = jnp.abs(rates(found) - rates(seen))
     assert float(jnp.max(off)) < 0.2 * OBSERVATION
 
@@ -186,5 +191,6 @@ def test_redundant_constraints_give_finite_numbers(pendulum):
     model = measure_velocity_prior(unknown, pictures(x))[0]
     assert twice.law.freedom == 1
     assert float(model.velocity_prior.elapsed) == pytest.approx(float(DT), rel=0.2)
-    state = model.velocity_prior(twice, model.initial_state(twice, x[0, :2], DT, NOTHING), NOTHING)
+    seen = eqx.filter_jit(model.initial_state)(twice, x[0, :2], DT, NOTHING)
+    state = eqx.filter_jit(model.velocity_prior)(twice, seen, NOTHING)
     assert bool(jnp.all(jnp.isfinite(state.coordinates.v)))
