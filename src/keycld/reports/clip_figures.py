@@ -49,9 +49,9 @@ def motion_movie(folder: Path, result: Evaluation) -> str:
     path = folder / "media" / "motion.mp4"
     step = int(shown[1] - shown[0]) if len(shown) > 1 else 1
     save_movie(path, canvas, min(_FASTEST, 1 / (scores["dt"] * step)), scale=1)
-    return html.movie(
-        path, canvas[min(len(canvas) - 1, scores["given"])], None, "Video with observed and predicted links"
-    )
+    what = "links" if scores["links"] else "keypoints"
+    first = canvas[min(len(canvas) - 1, scores["given"])]
+    return html.movie(path, first, None, f"Video with observed and predicted {what}")
 
 
 def error_figure(result: Evaluation) -> Figure:

@@ -24,13 +24,24 @@ def head(run: Run) -> str:
         "The first part of a video taught the model how this mechanism moves. Here it is given the first "
         f"{scores['given']} frames of the last third, and predicts the other {scores['frames'] - scores['given']}."
     )
-    caption = (
-        "Grey-white: the links as observed in the video. In colour: the links as predicted from the first "
-        f"{scores['given']} frames shown, and dots where the keypoints will be next."
-    )
-    movie = html.figure(clip_figures.motion_movie(run.folder, result), caption, "clip")
+    movie = html.figure(clip_figures.motion_movie(run.folder, result), caption(scores), "clip")
     top = f'<p class="eyebrow">KeyCLD · the physics of a clip</p><h1>{name}</h1>'
     return f'<header>{top}<p class="lede">{lede}</p><p class="facts">{line}</p></header>{movie}'
+
+
+def caption(scores: Mapping[str, Any]) -> str:
+    """Say what the movie shows: links, or keypoints alone where the mechanism has none."""
+    shown = f"predicted from the first {scores['given']} frames shown, and dots where the keypoints will be next."
+    if scores["links"]:
+        return f"Grey-white: the links as observed in the video. In colour: the links as {shown}"
+    return f"In colour: the keypoints as {shown}"
+
+
+def acting(physics: Mapping[str, Any]) -> str:
+    """Name the forces that act; next to springs a constant force may be gravity or move their rest position."""
+    known = "gravity" in physics["constants"]
+    constant = "gravity" if known else "a constant force (gravity, or the rest position of a spring)"
+    return ", ".join([constant, *physics.get("forces", [])])
 
 
 def constants(run: Run) -> str:
@@ -45,7 +56,6 @@ def constants(run: Run) -> str:
         f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
         "the side of the cropped picture. ± is one standard error."
     )
-    forces = ", ".join(["gravity", *run.physics.get("forces", [])])
     notes = "".join(
         html.paragraph(f"<code>{html.text(name)}</code>: {html.text(each['note'])}.", "note")
         for name, each in run.physics["constants"].items()
@@ -57,7 +67,7 @@ def constants(run: Run) -> str:
     return html.section(
         "constants",
         "Constants",
-        html.paragraph(about) + table + html.paragraph(f"Forces that act: {html.text(forces)}.") + notes,
+        html.paragraph(about) + table + html.paragraph(f"Forces that act: {html.text(acting(run.physics))}.") + notes,
     )
 
 

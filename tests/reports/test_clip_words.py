@@ -1,0 +1,18 @@
+"""The words of a clip's page fit the mechanism."""
+
+from keycld.reports import clip_sections
+
+
+def test_a_cart_on_a_spring_has_no_links_and_no_gravity():
+    """It has a keypoint, and a constant force that may be the rest position of its spring."""
+    caption = clip_sections.caption({"given": 10, "links": []})
+    assert "keypoints as predicted from the first 10 frames" in caption and "links" not in caption
+    cart = {"constants": {"period_1": {}}, "forces": ["springs", "viscous"]}
+    forces = clip_sections.acting(cart)
+    assert forces.startswith("a constant force (gravity, or") and forces.endswith(", springs, viscous")
+
+
+def test_a_pendulum_has_both():
+    assert "links as observed" in clip_sections.caption({"given": 10, "links": [{"keypoints": ["ball"]}]})
+    pendulum = {"constants": {"gravity": {}, "gravity_direction": {}}, "forces": ["viscous"]}
+    assert clip_sections.acting(pendulum) == "gravity, viscous"
