@@ -281,6 +281,18 @@ def test_the_summary_shows_the_baselines_next_to_the_model(data, shared):
         assert name in text
 
 
+def test_the_summary_tells_the_law_where_it_is_known(data, shared, known):
+    scores = evaluate(Swing.right(), data, PROTOCOL, shared=shared).scores
+    assert "law:" not in summary(scores)
+    scores["state"] |= {"acceleration": 0.0123, "friction": {"found": 0.118, "true": 0.1205}}
+    assert (
+        "  law: acceleration 1.23 % from the true one, rms; friction takes energy at 0.118 /s (true 0.12)"
+        in summary(scores)
+    )
+    scores["state"] |= {"acceleration": 0.0, "friction": None}
+    assert summary(scores).splitlines()[-2] == "  law: acceleration 0 % from the true one, rms"
+
+
 def test_what_cannot_be_scored_is_named(data, shared, tmp_path):
     with pytest.raises(KeycldError, match="scores 30 frames of test.h5, which has 24 frames"):
         evaluate(Swing.right(), data, Protocol("long", "test", 30), shared=shared)

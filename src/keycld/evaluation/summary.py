@@ -62,6 +62,7 @@ def summary(scores: Mapping[str, Any]) -> str:
             f"{each['name']} {_number(each['last_median'])} {each['unit']}" for each in scores["state"]["coordinates"]
         )
         lines.append(f"  keypoint residual {_number(scores['state']['residual'])}; median error at the end: {last}")
+        lines += [f"  {line}" for line in _law(scores["state"])]
     if "drift" in scores:
         drift = {"energy": "mean", "constraint": "worst"}
         known = [
@@ -69,6 +70,16 @@ def summary(scores: Mapping[str, Any]) -> str:
         ]
         lines.append(f"  drift: {', '.join(known)}")
     return "\n".join(lines)
+
+
+def _law(state: Mapping[str, Any]) -> list[str]:
+    """Return what is known of the learned law: these scores do not depend on where the motion begins."""
+    found, rates = [], state.get("friction")
+    if state.get("acceleration") is not None:
+        found.append(f"acceleration {_number(100 * state['acceleration'])} % from the true one, rms")
+    if rates:
+        found.append(f"friction takes energy at {_number(rates['found'])} /s (true {_number(rates['true'])})")
+    return [f"law: {'; '.join(found)}"] if found else []
 
 
 def _row(name: str, scores: Mapping[str, Any], thresholds: list[str]) -> str:

@@ -1,5 +1,8 @@
 """The sections on the learned physics: keypoints, energies, constraints, masses."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from keycld.benchmarks import grid_pictures, potential_figures
 from keycld.drawing import save_figure, save_image
 from keycld.reports import figures, html, movies
@@ -54,9 +57,22 @@ def keypoints(run: Run) -> str:
                     "Error of the true coordinates along the predictions: median and 10th to 90th percentile.",
                 ),
                 html.table(["root mean square distance", "image units", "pixels"], rows, "scores"),
+                *_law(state),
             ]
         ),
     )
+
+
+def _law(state: Mapping[str, Any]) -> list[str]:
+    """Return a table of what is known of the learned law, if anything."""
+    rows, rates = [], state.get("friction")
+    if state.get("acceleration") is not None:
+        rows.append(["error of the acceleration, rms", _percent(state["acceleration"]), ""])
+    if rates:
+        rows.append(
+            ["rate at which friction takes energy, 1/s", html.number(rates["found"]), html.number(rates["true"])]
+        )
+    return [html.table(["along true motions", "learned law", "truth"], rows, "scores")] if rows else []
 
 
 def _with_unit(value: float | None, unit: str) -> str:
