@@ -6,6 +6,7 @@ from keycld.reports import clip_sections
 def test_a_cart_on_a_spring_has_no_links_and_no_gravity():
     """It has a keypoint, and a constant force that may be the rest position of its spring."""
     caption = clip_sections.caption({"given": 10, "links": []})
+    assert "White: the keypoints as observed" in caption
     assert "keypoints as predicted from the first 10 frames" in caption and "links" not in caption
     cart = {"constants": {"period_1": {}}, "forces": ["springs", "viscous"]}
     forces = clip_sections.acting(cart)

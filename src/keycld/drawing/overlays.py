@@ -1,5 +1,7 @@
 """Add keypoints, heat maps and a time line to frames."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Shaped, UInt8
 
@@ -25,6 +27,7 @@ def overlay_keypoints(
     scale: int = 4,
     trail: int = 0,
     radius: float = 0.05,
+    colours: Sequence[tuple[int, int, int]] = KEYPOINT_COLOURS,
 ) -> UInt8[np.ndarray, "T H2 W2 3"]:
     """Enlarge the frames and put a ringed disc at each keypoint.
 
@@ -34,6 +37,7 @@ def overlay_keypoints(
         scale: enlargement; the discs have smooth edges at the larger size.
         trail: how many earlier positions to show, fading.
         radius: of the discs, in image-plane units.
+        colours: of the discs, in turn.
     """
     _, height, width, _ = frames.shape
     canvas = enlarge(frames, scale).copy()
@@ -41,7 +45,7 @@ def overlay_keypoints(
     size = max(2.0, radius * scale * min(height, width) / 2.0)
     for t, picture in enumerate(canvas):
         for k in range(keypoints.shape[1]):
-            colour = KEYPOINT_COLOURS[k % len(KEYPOINT_COLOURS)]
+            colour = colours[k % len(colours)]
             for age in range(min(trail, t), 0, -1):
                 fade = 0.55 * (1.0 - age / (trail + 1.0))
                 _disc(picture, centres[t - age, k], 0.4 * size, colour, fade)

@@ -29,6 +29,8 @@ _FASTEST = 25.0
 def motion_movie(folder: Path, result: Evaluation) -> str:
     """Return the movie of the test recording: observed links in white, the predicted motion in colour.
 
+    Without links, observed keypoints are white discs, and the predicted ones lie within them while they are right.
+
     Writes media/motion.mp4.
     """
     arrays, scores = result.arrays, result.scores
@@ -45,6 +47,8 @@ def motion_movie(folder: Path, result: Evaluation) -> str:
     canvas = overlay_links(canvas, _ends(scores, observed), [_WHITE] * len(scores["links"]), width=0.022, opacity=0.75)
     owners = [colours[scores["keypoints"].index(link["keypoints"][-1])] for link in scores["links"]]
     canvas = overlay_links(canvas, _ends(scores, future), owners, width=0.01)
+    if not scores["links"]:
+        canvas = overlay_keypoints(canvas, observed, 1, radius=0.06, colours=[_WHITE])
     canvas = overlay_keypoints(canvas, np.where(np.isnan(future), observed, future), 1, radius=0.035)
     path = folder / "media" / "motion.mp4"
     step = int(shown[1] - shown[0]) if len(shown) > 1 else 1

@@ -34,7 +34,7 @@ def caption(scores: Mapping[str, Any]) -> str:
     shown = f"predicted from the first {scores['given']} frames shown, and dots where the keypoints will be next."
     if scores["links"]:
         return f"Grey-white: the links as observed in the video. In colour: the links as {shown}"
-    return f"In colour: the keypoints as {shown}"
+    return f"White: the keypoints as observed in the video. In colour: the keypoints as {shown}"
 
 
 def acting(physics: Mapping[str, Any]) -> str:
