@@ -55,6 +55,14 @@ def test_friction_of_a_hinge_has_the_rate_c_over_j(rng, friction):
     np.testing.assert_allclose(rates["found"], friction / INERTIA, rtol=1e-3, atol=1e-6)
 
 
+def test_a_pendulum_without_friction_has_the_rate_zero(rng):
+    """Not a rounding error of the difference of two energies."""
+    system = get("pendulum")
+    state = np.stack([rng.uniform(-np.pi, np.pi, 50), rng.uniform(-6, 6, 50)], axis=1)
+    rates = friction_rates(free_points(1), system, (system.landmarks(state), state), state)
+    assert rates == {"found": 0.0, "true": 0.0}
+
+
 def free_points(count):
     """A law without any force."""
     law = ConstrainedLagrangian(PointMasses.ones(count), SumPotential(jnp.zeros(2 * count), {}))

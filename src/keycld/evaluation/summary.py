@@ -78,7 +78,7 @@ def _law(state: Mapping[str, Any]) -> list[str]:
     if state.get("acceleration") is not None:
         found.append(f"acceleration {_number(100 * state['acceleration'])} % from the true one, rms")
     if rates:
-        found.append(f"friction takes energy at {_rate(rates['found'])} /s (true {_rate(rates['true'])})")
+        found.append(f"friction takes energy at {_number(rates['found'])} /s (true {_number(rates['true'])})")
     return [f"law: {'; '.join(found)}"] if found else []
 
 
@@ -87,11 +87,6 @@ def _row(name: str, scores: Mapping[str, Any], thresholds: list[str]) -> str:
     parts = scores.get("normalised_error")
     errors = [scores["mse"]] if parts is None else [parts.get("train"), parts["extrapolation"]]
     return f"  {name:24}{vpt}" + "".join(f"{_number(error):>14}" for error in errors)
-
-
-def _rate(value: float) -> str:
-    # The true rate is a difference of energies, never quite zero; a rounded -0.0 is 0.
-    return _number(round(value, 5) + 0.0)
 
 
 def _number(value: float | None) -> str:

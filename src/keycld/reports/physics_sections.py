@@ -69,8 +69,7 @@ def _law(state: Mapping[str, Any]) -> list[str]:
     if state.get("acceleration") is not None:
         rows.append(["error of the acceleration, rms", _percent(state["acceleration"]), ""])
     if rates:
-        # The true rate is a difference of energies, never quite zero; a rounded -0.0 is 0.
-        shown = [html.number(round(rates[which], 5) + 0.0) for which in ("found", "true")]
+        shown = [html.number(rates[which]) for which in ("found", "true")]
         rows.append(["rate at which friction takes energy, 1/s", *shown])
     return [html.table(["along true motions", "learned law", "truth"], rows, "scores")] if rows else []
 
