@@ -237,7 +237,7 @@ def _measure(
 
     from keycld.evaluation import fitted_tracks, measure_physics, restless, with_fan
     from keycld.mechanics import MechanicalDynamics, terms_of
-    from keycld.models.keycld.identify import Tracks, evidence
+    from keycld.models.keycld.identify import Tracks, evidence, explain
     from keycld.models.keycld.model import KeyCLD
     from keycld.models.keycld.recipes.clip import ClipConfig
     from keycld.training import read_config
@@ -247,13 +247,14 @@ def _measure(
     dynamics = model.dynamics
     assert isinstance(dynamics, MechanicalDynamics)
     x, u = fitted_tracks(model, data)
+    tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
+    _, tracks = explain(dynamics, tracks)
     worth = {}
     if config.terms is None:
-        tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
         worth = evidence(dynamics, tracks, pixel=motion.scores["pixel"], tried=config.tried)
     name = Path(mechanism).stem
     measured = measure_physics(
-        dynamics, x, u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
+        dynamics, tracks.x, tracks.u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
     )
     motion = with_fan(motion, measured.estimate, data.split("test").input[0])
     said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton", "noise", "within")

@@ -25,12 +25,10 @@ from keycld.mechanics import (
     rest_pose,
     terms_of,
 )
-from keycld.models.keycld.identify import WORTH, Tracks, follow, free_leaves
+from keycld.models.keycld.identify import MISSED, WORTH, Tracks, follow, free_leaves
 
 # A positive constant with a larger relative error is not determined: its linear error bar means nothing.
 _VAGUE = 0.5
-# Share of the motion that the fitted one may miss; above it, no constant of the law means anything.
-_MISSED = 0.2
 # So many observed poses are compared to find where the mechanism rests.
 _POSES = 200
 # Pixels of noise above which a keypoint may not be fixed to its part.
@@ -89,7 +87,8 @@ def measure_physics(
 
     Args:
         dynamics: those of a trained model, `model.dynamics`; they are near the solution.
-        x: observed keypoints of the recordings that the constants are measured on, image-plane units.
+        x: observed keypoints of the recordings that the constants are measured on, image-plane units; of chaotic
+            motions pieces that a law can follow (`keycld.models.keycld.identify.explain`).
         u: inputs, `[N, 0]` without any.
         dt: seconds between frames, in the time of the camera.
         mechanism: its name.
@@ -182,7 +181,7 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
         )
     if pose is None:
         constants["period_1"] = _unknown("s", "the mechanism has no stable rest pose")
-    if found.misfit > _MISSED:
+    if found.misfit > MISSED:
         note = f"the fitted motions miss {found.misfit:.0%} of the motion, so they are not those of the mechanism"
         constants = {name: _unknown(each["unit"], note) for name, each in constants.items()}
     constants["mass"] = _unknown("kg", _ABSOLUTE)

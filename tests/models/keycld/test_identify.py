@@ -156,10 +156,46 @@ def test_a_single_recording_that_a_fit_would_lose_is_followed_first():
     path = dynamics.rollout(start, jnp.zeros(0), DT, 199).x
     seen = path + 0.02 * jax.random.normal(jax.random.key(1), path.shape)
     near = eqx.tree_at(lambda d: d.law.potential.weight, dynamics, 1.03 * weight)
-    fitted = identify.refit(near, Tracks(seen[None], jnp.zeros((1, 0)), jnp.array(DT), None))
+    fitted, _ = identify.refit(near, Tracks(seen[None], jnp.zeros((1, 0)), jnp.array(DT), None))
     assert float(fitted.rms) < 0.022
     force = fitted.dynamics.law.acceleration(jnp.array([0.6, 0.0]), jnp.zeros(2), jnp.zeros(0))
     assert float(force[1]) == pytest.approx(-9.0, rel=0.03)
+
+
+def wave(count, frames, omega):
+    angle = omega * np.arange(frames) + np.arange(count)[:, None]
+    return jnp.asarray(np.stack([np.sin(angle), np.cos(angle)], axis=-1), jnp.float32)
+
+
+def test_halves_are_consecutive_parts_of_each_recording_with_their_inputs():
+    x = wave(2, 65, 0.3)
+    for u in (jnp.arange(2.0)[:, None], x[..., :1]):
+        halves = Tracks(x, u, jnp.array(DT), None).halved()
+        np.testing.assert_array_equal(halves.x, jnp.stack([x[0, 1:33], x[0, 33:], x[1, 1:33], x[1, 33:]]))
+        np.testing.assert_array_equal(halves.u, halves.x[..., :1] if u.ndim == 3 else jnp.repeat(u, 2, axis=0))
+
+
+@pytest.mark.parametrize(
+    ("count", "frames", "omega", "why"),
+    [(17, 64, 0.3, "many"), (1, 31, 0.6, "short"), (1, 64, 0.05, "parabolas")],
+)
+def test_no_halves_of_many_or_short_recordings_or_where_parabolas_explain_them(count, frames, omega, why):
+    x = wave(count, frames, omega)
+    assert Tracks(x, jnp.zeros((count, 0)), jnp.array(DT), None).halved() is None, why
+
+
+@pytest.mark.parametrize(("followed", "expected"), [(200, 128), (40, 32), (64, 64), (8, 128)])
+def test_the_longest_pieces_that_a_law_follows_are_fitted(followed, expected):
+    """If it follows none, these are the whole recordings."""
+    tracks = Tracks(wave(1, 128, 0.3), jnp.zeros((1, 0)), jnp.array(DT), None)
+    _, model = model_of(Constraints(("disc",), (DistanceToPoint("disc", (0.0, 0.0)),)))
+
+    def fit(pieces):
+        frames = pieces.x.shape[1]
+        return identify.Identified(model.dynamics, 0.01 if frames <= followed else 0.5, {"frames": float(frames)})
+
+    found, pieces = identify.in_pieces(fit, tracks)
+    assert found.worth["frames"] == pieces.x.shape[1] == expected and pieces.x.size == tracks.x.size
 
 
 def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch):
@@ -175,10 +211,10 @@ def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch
     monkeypatch.setattr(identify, "_climb", lambda *_, **__: sound)
     for first in (nothing, lost, sound):
         monkeypatch.setattr(identify, "_fitted", lambda *_, first=first: first)
-        assert identify.refit(model.dynamics, tracks) is sound
+        assert identify.refit(model.dynamics, tracks)[0] is sound
     monkeypatch.setattr(identify, "_climb", lambda *_, **__: nothing)
     monkeypatch.setattr(identify, "_fitted", lambda *_: nothing)
-    assert identify.refit(model.dynamics, tracks, tried=Tried()) is nothing
+    assert identify.refit(model.dynamics, tracks, tried=Tried())[0] is nothing
 
 
 def test_singular_constraints_end_the_training_with_a_sentence(monkeypatch):

@@ -78,6 +78,22 @@ def test_a_twentieth_of_the_recordings_may_be_lost(judged, lost, passes):
     assert (judged(16.0, many) is None) == passes
 
 
+def test_a_law_that_misses_the_motion_does_not_pass_because_keypoints_leave_their_parts(judged):
+    """Keypoints 1.5 pixels (rms) away from their rail, where 5 of their errors are more than the motion."""
+    away = np.stack([np.zeros((6, FRAMES)), 2 * PIXEL * np.sin(3 * TIME + np.arange(6)[:, None])], axis=-1)
+    assert judged(16.0, swings(20.0, 0.02) + away) is None
+    assert "no law was found" in judged(0.0, swings(20.0, 0.02) + away)
+
+
+def test_a_single_recording_with_a_push_in_the_middle_is_judged_in_halves(judged, capsys):
+    """No initial state of the right law explains the whole, in which it stops and begins again elsewhere."""
+    time = DT * np.arange(2 * FRAMES)
+    x = np.where(time < DT * FRAMES, 0.3 * np.sin(4 * time), 0.6 * np.cos(4 * time))[None]
+    assert judged(16.0, observed(x, 0 * x, 0.02 * PIXEL)) is None
+    assert f"over {FRAMES} frames" in capsys.readouterr().out
+    assert "no law was found" in judged(8.0, observed(x, 0 * x, 0.02 * PIXEL))
+
+
 def test_a_slow_motion_is_judged_on_longer_stretches(monkeypatch, recordings):
     """x'' = −x with errors of keypoints that last: 2 s are nearly a parabola, 6 s are not."""
 

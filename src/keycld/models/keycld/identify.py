@@ -1,8 +1,8 @@
 """Identification of the law of motion from observed keypoints: which forces act, and how strong they are."""
 
 import dataclasses
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -42,6 +42,12 @@ _GOOD = 0.3
 # A motion whose error is so many times the median has been lost: it began in a wrong state. Fewer motions than the
 # second number do not show it.
 _LOST, _SEVERAL = 5.0, 4
+# Share of the motion that a law may miss of the recordings that it was fitted to.
+MISSED = 0.2
+# Fits to up to so many recordings begin with short parts. Halves of them are fitted where the whole is missed, while
+# constant accelerations miss this share of the motion in halves, and these have so many frames: a law must explain more
+# than parabolas can.
+_SCARCE, _CURVED, _SHORTEST = 32, 2 * MISSED, 16
 # Compiled once for each structure of the law.
 _fit = eqx.filter_jit(fit_motions)
 
@@ -73,6 +79,19 @@ class Tracks:
         if own is not None:
             own = own._replace(numbers=own.numbers[recordings], expected=own.expected[recordings])
         return dataclasses.replace(self, x=self.x[recordings], u=self.u[recordings], own=own)
+
+    def halved(self) -> "Tracks | None":
+        """Return both halves of each recording; None of many recordings, and where parabolas nearly explain halves."""
+        count, length, dim = self.x.shape
+        half = length // 2
+        if self.own is not None or 2 * count > _SCARCE or half < _SHORTEST:
+            return None
+        halves = self.x[:, length - 2 * half :].reshape(2 * count, half, dim)
+        if _rms(halves - nearest_polynomials(halves, 2)) < _CURVED * _extent(halves):
+            return None
+        u = self.u if self.u.ndim == 2 else self.u[:, length - 2 * half : length].reshape(count, 2, half, -1)
+        u = jnp.repeat(u, 2, axis=0) if self.u.ndim == 2 else u.reshape(2 * count, half, -1)
+        return dataclasses.replace(self, x=halves, u=u)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,6 +128,28 @@ class Identified:
     worth: dict[str, float]
 
 
+_Result = TypeVar("_Result", Fitted, Identified)
+
+
+def in_pieces(fit: Callable[[Tracks], _Result], tracks: Tracks) -> tuple[_Result, Tracks]:
+    """Fit recordings or, of a few that the result misses, the longest pieces that it follows.
+
+    The pieces are halves, quarters, …: motions of a double pendulum that begin nearly alike part after some swings,
+    and through a recording of many swings no fit finds its way. If no pieces are followed, the recordings are returned.
+
+    Returns:
+        The result of the fit, and what was fitted.
+    """
+    whole = fit(tracks)
+    found, pieces = whole, tracks
+    while not found.rms < MISSED * _extent(pieces.x):
+        halves = pieces.halved()
+        if halves is None:
+            return whole, tracks
+        found, pieces = fit(halves), halves
+    return found, pieces
+
+
 def identify(
     dynamics: MechanicalDynamics,
     tracks: Tracks,
@@ -128,6 +169,8 @@ def identify(
     other forces that explain the recordings hardly better, because ΔJ does not tell forces apart that do the same. If
     the result explains the recordings badly, a potential energy of free form is added, unless the kinds are limited.
 
+    Of a few recordings that the result does not follow, pieces are taken in their place (`in_pieces`).
+
     Args:
         dynamics: V affine; its parameters do not matter.
         tracks: of all recordings.
@@ -135,10 +178,14 @@ def identify(
         terms: kinds of the terms; None: those that the motion asks for.
         tried: which kinds are tried, and what they must be worth; None: all.
     """
-    tried = tried or Tried()
     if terms is not None:
-        fitted = _identified(dynamics, terms, tracks)
+        fitted, _ = in_pieces(lambda pieces: _identified(dynamics, terms, pieces), tracks)
         return Identified(fitted.dynamics, float(fitted.rms), {})
+    return in_pieces(lambda pieces: _judged(dynamics, pieces, pixel, tried or Tried()), tracks)[0]
+
+
+def _judged(dynamics: MechanicalDynamics, tracks: Tracks, pixel: float, tried: Tried) -> Identified:
+    """Return the law with the terms that recordings ask for, as `identify` describes it."""
     best = _identified(dynamics, (), tracks)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     everything = _with_everything(best, tracks, some, tried.kinds, good=_GOOD * pixel)
@@ -188,18 +235,23 @@ def _with_everything(
 ) -> Fitted:
     """Fit all terms that are tried to some of the recordings.
 
-    The fit begins from the affine one of all recordings if its error is small, otherwise from nothing. Where motions
-    have own parameters, it begins from the one potential energy that explains most alone: own parameters follow any
-    law a part of the way, and from there no fit of all terms finds the way back.
+    The fit begins from the affine one of all recordings if its error is small, otherwise from nothing; of few
+    recordings that it misses from both, because either fit may end anywhere. Where motions have own parameters, it
+    begins from the one potential energy that explains most alone: own parameters follow any law a part of the way, and
+    from there no fit of all terms finds the way back.
     """
     kinds, few = _kinds(tried), tracks[some]
     if tracks.own is not None:
         energies = [kind for kind in kinds if issubclass(term_kinds()[kind], AbstractPotentialTerm)]
         alone = _cheapest(_identified(affine.dynamics, each, few) for each in ((), *((kind,) for kind in energies)))
         return _fitted_more(alone, kinds, few)
+    fits = []
     if affine.rms > good:
-        return _identified(affine.dynamics, kinds, few)
-    return _fitted_more(affine._replace(initial=jax.tree.map(lambda part: part[some], affine.initial)), kinds, few)
+        fits.append(_identified(affine.dynamics, kinds, few))
+    if not fits or len(tracks.x) <= _SCARCE:
+        near = affine._replace(initial=jax.tree.map(lambda part: part[some], affine.initial))
+        fits.append(_fitted_more(near, kinds, few))
+    return _cheapest(fits)
 
 
 def _fitted_more(fitted: Fitted, kinds: tuple[str, ...], tracks: Tracks) -> Fitted:
@@ -220,13 +272,13 @@ def _climb(dynamics: MechanicalDynamics, tracks: Tracks, active: Any = None) -> 
     A motion that a longer part loses among many does not lead the law away.
     """
     length, fitted = tracks.x.shape[1], None
-    for eighths in range(1, 8) if len(tracks.x) < _SEVERAL else (2, 4):
+    for eighths in range(1, 8) if len(tracks.x) <= _SCARCE else (2, 4):
         fitted = _fitted(dynamics, tracks, fitted, length * eighths // 8, 8, active)
         dynamics = fitted.dynamics
     return _fitted(dynamics, tracks, fitted, active=active)
 
 
-def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> Fitted:
+def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> tuple[Fitted, Tracks]:
     """Fit the parameters of given dynamics to keypoints.
 
     Where some motions were lost or diverged, because the first frames show their velocities too badly for the whole of
@@ -240,10 +292,15 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
         dynamics: near the solution.
         tracks: of all recordings.
         tried: judge the terms of V and R again: drop those that are not worth enough, as in `identify`; None: keep all.
+
+    Returns:
+        The fit, and what was fitted: the recordings, or pieces of a few that the given law does not follow.
     """
     # Own parameters and lost motions begin far from where they end, and the law must not follow them there.
-    few = len(tracks.x) < _SEVERAL
-    fitted = _fitted(dynamics, tracks, explain(dynamics, tracks) if few or tracks.own is not None else None)
+    few, begin = len(tracks.x) < _SEVERAL, None
+    if few or tracks.own is not None:
+        begin, tracks = explain(dynamics, tracks)
+    fitted = _fitted(dynamics, tracks, begin)
     # Errors of a motion that diverged are no numbers.
     lost = few or not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors)
     if tracks.own is None and lost:
@@ -252,15 +309,15 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
         known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=_kinds(tried.kinds)))
         simpler = _fitted(known.dynamics, tracks)
         if _sound(simpler) and not fitted.rms < _LESS * simpler.rms:
-            return simpler
+            return simpler, tracks
     if tried is None or not _sound(fitted):
-        return fitted
+        return fitted, tracks
     if tracks.own is not None:
         fitted = _spared(fitted, tracks, tried.worth)
     left = _selected(fitted, tracks, tried)[0]
     if terms_of(_lagrangian(left)).keys() == terms_of(_lagrangian(fitted.dynamics)).keys():
-        return fitted
-    return _fitted(left, tracks, fitted)
+        return fitted, tracks
+    return _fitted(left, tracks, fitted), tracks
 
 
 def _spared(fitted: Fitted, tracks: Tracks, worth: float) -> Fitted:
@@ -306,10 +363,14 @@ def evidence(
     return _selected(everything, tracks[some], tried)[1] if _sound(everything) else {}
 
 
-def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
-    """Fit the motions of given dynamics to keypoints; nothing but their initial states is free."""
+def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> tuple[Fitted, Tracks]:
+    """Fit the motions of given dynamics to keypoints; nothing but their initial states is free.
+
+    Returns:
+        The fit, and what was fitted: the recordings, or pieces of a few (`in_pieces`).
+    """
     still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
-    return _climb(dynamics, tracks, still)
+    return in_pieces(lambda pieces: _climb(dynamics, pieces, still), tracks)
 
 
 def ahead(dynamics: MechanicalDynamics, tracks: Tracks, given: int) -> jax.Array:
@@ -358,6 +419,22 @@ def _active(dynamics: MechanicalDynamics, located: bool) -> Any:
 
 def _with_law(dynamics: MechanicalDynamics, law: ConstrainedLagrangian) -> MechanicalDynamics:
     return eqx.tree_at(lambda d: d.law, dynamics, law)
+
+
+def _rms(x: jax.Array) -> float:
+    return float(jnp.sqrt(jnp.mean(x**2)))
+
+
+def _extent(x: jax.Array) -> float:
+    """Return the root mean square of motions `[N, T, 2K]` around the mean position of each."""
+    return _rms(x - jnp.mean(x, axis=1, keepdims=True))
+
+
+def nearest_polynomials(paths: jax.Array, degree: int) -> jax.Array:
+    """Return the nearest polynomials in time to paths `[N, T, …]`."""
+    powers = np.vander(np.linspace(-1, 1, paths.shape[1]), degree + 1)
+    projection = jnp.asarray(powers @ np.linalg.pinv(powers), paths.dtype)
+    return jnp.einsum("st,nt...->ns...", projection, paths, precision="highest")
 
 
 def _owner(path: Any, kinds: Iterable[str]) -> str | None:

@@ -11,13 +11,13 @@ from jaxtyping import Float
 
 from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved, turns_within
-from keycld.models.keycld.identify import Tracks, explain
+from keycld.models.keycld.identify import MISSED, Tracks, explain, nearest_polynomials
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
 
-# How many of their own errors a law may be away from the keypoints.
-_ERRORS = 5.0
+# How many of their own errors a law may be away from the keypoints, and how many where it misses much of the motion.
+_ERRORS, _NEAR = 5.0, 2.0
 # Share of the recordings that a fit may lose: the worst of them do not count.
 _LOST = 0.05
 # Recordings that are observed this many times as long, and as few.
@@ -61,7 +61,8 @@ def judge_dynamics(
     on are compared, for each keypoint, with what the keypoints themselves are wrong by (`observation_error`): a right
     law is as far from them. Keypoints may also have errors that it does not know. So errors pass, too, that are small
     next to those of constant acceleration, fitted alike, which show how much there is to explain. A twentieth of the
-    recordings may be lost by a fit, for example where bodies nearly collide, and does not count.
+    recordings may be lost by a fit, for example where bodies nearly collide, and does not count. Errors of more than a
+    fifth of the motion pass only within twice those of keypoints, which are large where these leave their parts.
 
     A keypoint within a pixel of a point from which the constraints keep it at a distance has found this point in place
     of its part. The law then explains its motion and is wrong, so it fails at once.
@@ -121,22 +122,26 @@ def _unexplained(
     """Return what the law of a model does not explain of observed keypoints `[N, T, 2K]`, or None."""
     assert isinstance(model.dynamics, MechanicalDynamics)
     pixel = 2 / max(data.shape[2:4])
+    fitted, tracks = explain(model.dynamics, Tracks(x, u, data.dt, model.constants, own=own_guess(model, x)))
+    x = tracks.x
     seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)
 
     def squares(paths: np.ndarray) -> np.ndarray:
         return np.mean((paths.reshape(seen.shape) - seen) ** 2, axis=(1, 3))
 
-    fitted = explain(model.dynamics, Tracks(x, u, data.dt, model.constants, own=own_guess(model, x)))
     law = squares(np.asarray(fitted.paths))
     followed = np.argsort(np.sum(law, axis=1))[: len(x) - int(_LOST * len(x))]
 
     def errors(squares: np.ndarray) -> np.ndarray:
         return np.sqrt(np.mean(squares[followed], axis=0)) / pixel
 
-    law, straight, curved = (errors(each) for each in (law, *(squares(_polynomials(seen, n)) for n in (1, 2))))
+    straight, curved = (errors(squares(np.asarray(nearest_polynomials(x, degree)))) for degree in (1, 2))
+    law = errors(law)
     around = x if fitted.own is None else jax.vmap(moved)(x, fitted.own[:, :2])
     own = observation_error(model.law, np.asarray(around, float)) / pixel
-    most = np.maximum(np.maximum(worst * curved, _ERRORS * own), small)
+    extent = errors(squares(np.asarray(nearest_polynomials(x, 0))))
+    most = np.minimum(np.maximum(worst * curved, _ERRORS * own), MISSED * extent)
+    most = np.maximum(np.maximum(most, _NEAR * own), small)
     k = int(np.argmax(law / most))
     print(
         f"law          {law[k]:.2f} pixels from keypoint {k + 1} over {x.shape[1]} frames; up to {most[k]:.2f} passes",
@@ -204,14 +209,6 @@ def judge_trained(
     error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
     seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
     return seen or judge_dynamics(model, data, terms, worst=law, small=small)
-
-
-def _polynomials(paths: np.ndarray, degree: int) -> np.ndarray:
-    """Return the nearest polynomials in time to paths `[N, T, K, 2]`."""
-    flat = paths.transpose(1, 0, 2, 3).reshape(paths.shape[1], -1)
-    powers = np.vander(np.linspace(-1, 1, len(flat)), degree + 1)
-    near = powers @ np.linalg.lstsq(powers, flat, rcond=None)[0]
-    return near.reshape(paths.shape[1], paths.shape[0], *paths.shape[2:]).transpose(1, 0, 2, 3)
 
 
 @eqx.filter_jit

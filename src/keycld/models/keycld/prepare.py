@@ -185,12 +185,12 @@ def fit_dynamics(
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
     tracks = _tracks(model, x, u, data.dt, tried)
-    fitted = refit(model.dynamics, tracks, tried=tried)
+    fitted, tracks = refit(model.dynamics, tracks, tried=tried)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
     if tried is not None:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
     # The median of |e| of a normal distribution is 0.67 σ.
-    error = jnp.median(jnp.abs(fitted.paths - x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
+    error = jnp.median(jnp.abs(fitted.paths - tracks.x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
     model = eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5))
     return model, data if fitted.own is None else _with_paths(data, fitted, trajectories)
 
@@ -229,7 +229,7 @@ def measure_own_prior(model: Any, data: Resident) -> tuple[Any, Resident]:
     """
     rows, begin, _ = _chosen(data, FITTED)
     x, u = observed_keypoints(model, data, FITTED)
-    fitted = refit(model.dynamics, _tracks(model, x, u, data.dt, None))
+    fitted, _ = refit(model.dynamics, _tracks(model, x, u, data.dt, None))
     own, x = np.asarray(fitted.own, float), np.asarray(x)
     followed = _followed(fitted)
     light = [_light(model, data.image[i][k : k + _SEEN]) for i, k in zip(rows, begin, strict=True)]
