@@ -1,6 +1,7 @@
 """Constants of a mechanism with error bars, from its tracks to `physics.json`."""
 
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -8,12 +9,13 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.evaluation import Evaluation, load_physics, measure_physics, restless, save_physics, with_fan
+from keycld.evaluation import Evaluation, load_physics, measure_physics, physics, restless, save_physics, with_fan
 from keycld.mechanics import (
     RK4,
     ConstrainedLagrangian,
     Constraints,
     DistanceToPoint,
+    Estimate,
     MechanicalDynamics,
     Motion,
     PointMasses,
@@ -24,6 +26,7 @@ from keycld.mechanics import (
     SumPotential,
     ViscousFriction,
 )
+from keycld.models.keycld.identify import Tracks
 
 DT, FRAMES, NOISE, LENGTH = 1 / 30, 90, 0.003, 0.6
 
@@ -143,3 +146,30 @@ def test_a_prediction_that_diverges_has_no_fan(measured, monkeypatch):
 def test_keypoints_far_from_the_fitted_motion_are_named():
     assert restless({"cart": 0.1, "tip": 0.45}) == ""
     assert "'tip' 0.84 pixels" in restless({"cart": 0.1, "tip": 0.84})
+
+
+@pytest.mark.parametrize("misfit", [None, 0.5])
+def test_halves_are_measured_where_the_motions_of_the_whole_diverge_or_miss_it(monkeypatch, misfit):
+    """If no halves are followed either, the reason is said."""
+    asked = []
+
+    def estimate(dynamics, free, x, u, dt, *, initial):
+        asked.append(x.shape)
+        if x.shape[1] > follows and misfit is None:
+            raise KeycldError("the fitted motions diverge")
+        return Estimate(*[None] * 11, misfit=misfit if x.shape[1] > follows else 0.01)
+
+    monkeypatch.setattr(physics, "follow", lambda *_: SimpleNamespace(dynamics=None, initial=None))
+    monkeypatch.setattr(physics, "free_leaves", lambda *_: None)
+    monkeypatch.setattr(physics, "estimate", estimate)
+    angle = 0.3 * np.arange(128)
+    x = jnp.asarray(np.stack([np.sin(angle), -np.cos(angle)], axis=-1), jnp.float32)[None]
+    law, tracks = pendulum(9.0, 0.2, Rattle(2)), Tracks(x, jnp.zeros((1, 0)), jnp.float32(DT), None)
+    follows = 64
+    assert physics._estimated(law, tracks).misfit == 0.01 and asked == [(1, 128, 2), (2, 64, 2)]
+    follows = 0
+    if misfit is None:
+        with pytest.raises(KeycldError, match="diverge"):
+            physics._estimated(law, tracks)
+    else:
+        assert physics._estimated(law, tracks).misfit == misfit

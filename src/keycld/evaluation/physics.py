@@ -87,8 +87,8 @@ def measure_physics(
 
     Args:
         dynamics: those of a trained model, `model.dynamics`; they are near the solution.
-        x: observed keypoints of the recordings that the constants are measured on, image-plane units; of chaotic
-            motions pieces that a law can follow (`keycld.models.keycld.identify.explain`).
+        x: observed keypoints of the recordings that the constants are measured on, image-plane units; pieces of
+            them are taken where motions of the law do not follow the whole.
         u: inputs, `[N, 0]` without any.
         dt: seconds between frames, in the time of the camera.
         mechanism: its name.
@@ -103,8 +103,7 @@ def measure_physics(
     assert isinstance(law, ConstrainedLagrangian)
     seen = jnp.asarray(x, jnp.float32)
     shared = jnp.mean(jax.vmap(law.constraint)(seen.reshape(-1, seen.shape[-1])), axis=0)
-    near = follow(dynamics, Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared))
-    found = estimate(near.dynamics, free_leaves(near.dynamics), x, u, dt, initial=near.initial)
+    found = _estimated(dynamics, Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared))
     acting, tried = terms_of(law), worth or {}
     physics = Physics(
         mechanism=mechanism,
@@ -114,6 +113,24 @@ def measure_physics(
         prediction={},
     )
     return Measured(physics, found)
+
+
+def _estimated(dynamics: MechanicalDynamics, tracks: Tracks) -> Estimate:
+    """Return the estimate from recordings or, where its motions diverge or miss them, from halves, quarters, ….
+
+    It integrates more finely than the fits of a training, and a chaotic motion may leave the recording for that.
+    """
+    halves = tracks.halved()
+    try:
+        near = follow(dynamics, tracks)
+        free, dt = free_leaves(near.dynamics), float(tracks.dt)
+        found = estimate(near.dynamics, free, tracks.x, tracks.u, dt, initial=near.initial)
+        if found.misfit <= MISSED or halves is None:
+            return found
+    except KeycldError:
+        if halves is None:
+            raise
+    return _estimated(dynamics, halves)
 
 
 def with_fan(motion: Evaluation, found: Estimate, u: Float[np.ndarray, "*T l"]) -> Evaluation:
