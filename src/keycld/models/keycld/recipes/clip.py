@@ -36,7 +36,7 @@ class ClipConfig(FastConfig):
     """Share of the clips that contain the first frames of a trajectory."""
     worth: float = 0.05
     """Share by which the cost of the fit must rise without a force for it to stay."""
-    vision: VisionStage = VisionStage(steps=800, candidates=2, patches=(2.0, 2.0))
+    vision: VisionStage = VisionStage(steps=800, patches=(2.0, 2.0))
     """First stage."""
     joint: JointStage = JointStage(steps=0)
     """Third stage."""
