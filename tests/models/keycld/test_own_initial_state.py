@@ -161,11 +161,11 @@ def test_the_prior_of_masses_belongs_to_the_law_of_the_model(monkeypatch):
     monkeypatch.setattr(prepare, "observed_keypoints", lambda *_: (jnp.asarray(seen, jnp.float32), jnp.zeros((24, 0))))
 
     def refit_twice_as_heavy(dynamics, tracks):
-        fitted, _ = refit(dynamics, tracks)
+        fitted, fitted_to = refit(dynamics, tracks)
         stiffer = eqx.tree_at(
             lambda d: d.law.potential, fitted.dynamics, replace_fn=lambda v: jax.tree.map(lambda a: 2 * a, v)
         )
-        return fitted._replace(dynamics=stiffer, own=fitted.own.at[:, 2].add(jnp.log(2.0)))
+        return fitted._replace(dynamics=stiffer, own=fitted.own.at[:, 2].add(jnp.log(2.0))), fitted_to
 
     monkeypatch.setattr(prepare, "refit", refit_twice_as_heavy)
     data = Resident(jnp.zeros((24, 60, 16, 16, 3), jnp.uint8), jnp.zeros((24, 0)), DT)
