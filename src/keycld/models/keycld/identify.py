@@ -89,8 +89,10 @@ class Tracks:
         halves = self.x[:, length - 2 * half :].reshape(2 * count, half, dim)
         if _rms(halves - nearest_polynomials(halves, 2)) < _CURVED * _extent(halves):
             return None
-        u = self.u if self.u.ndim == 2 else self.u[:, length - 2 * half : length].reshape(count, 2, half, -1)
-        u = jnp.repeat(u, 2, axis=0) if self.u.ndim == 2 else u.reshape(2 * count, half, -1)
+        if self.u.ndim == 2:
+            u = jnp.repeat(self.u, 2, axis=0)
+        else:
+            u = self.u[:, length - 2 * half : length].reshape(2 * count, half, self.u.shape[-1])
         return dataclasses.replace(self, x=halves, u=u)
 
 
