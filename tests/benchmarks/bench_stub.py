@@ -13,6 +13,7 @@ import time
 import numpy as np
 
 from keycld import KeycldError
+from keycld._lock import locked
 from keycld.benchmarks import child
 from keycld.benchmarks.results import condense, write_json
 from keycld.evaluation import Evaluation, save_evaluation, statistics, valid_prediction_time
@@ -35,7 +36,10 @@ TRAIN = {"trajectories": 4, "frames": 50, "bytes": 1, "sha256": "abc"}
 
 def make_data(experiment, place):
     folder = place.data(experiment)
-    if not (folder / "statistics.json").exists():
+    # On Ray two experiments begin at the same time.
+    with locked(place.root / "data.lock", wait=True):
+        if (folder / "statistics.json").exists():
+            return
         note(place, f"data {folder.name}")
         folder.mkdir(parents=True)
         write(folder / "statistics.json", {"splits": {"train": TRAIN}, "recipe": {"system": folder.name, "splits": []}})

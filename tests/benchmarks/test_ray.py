@@ -32,6 +32,12 @@ def started(place):  # noqa: F811
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 
 
+def wait_for(driver, condition):
+    """Wait until it is true; a driver that has ended would let it wait for ever."""
+    wait_until(lambda: condition() or driver.poll() is not None)
+    assert condition(), driver.communicate()[0]
+
+
 def parent(pid):
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
@@ -42,13 +48,13 @@ def test_only_the_rest_is_run_after_a_worker_and_the_driver_are_killed(place):  
     driver = started(place)
     first, second, third = experiments()
     hanging, lock = place.root / "hanging", place.run(second) / "bench.lock"
-    wait_until(hanging.exists)
+    wait_for(driver, hanging.exists)
     worker = parent(holder(lock).pid)
     assert worker != driver.pid
     hanging.unlink()
     os.kill(worker, signal.SIGKILL)
-    wait_until(hanging.exists)  # another worker has resumed it
-    wait_until(lambda: status_of(first, place).word == "done" and status_of(third, place).word == "failed")
+    wait_for(driver, hanging.exists)  # another worker has resumed it
+    wait_for(driver, lambda: status_of(first, place).word == "done" and status_of(third, place).word == "failed")
     driver.kill()
     driver.communicate()
     wait_until(lambda: holder(lock) is None)

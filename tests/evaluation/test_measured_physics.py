@@ -9,7 +9,17 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.evaluation import Evaluation, load_physics, measure_physics, physics, restless, save_physics, with_fan
+from keycld.evaluation import (
+    Evaluation,
+    load_physics,
+    measure_physics,
+    physics,
+    physics_table,
+    pieces_note,
+    restless,
+    save_physics,
+    with_fan,
+)
 from keycld.mechanics import (
     RK4,
     ConstrainedLagrangian,
@@ -26,7 +36,7 @@ from keycld.mechanics import (
     SumPotential,
     ViscousFriction,
 )
-from keycld.models.keycld.identify import Tracks
+from keycld.models.keycld.identify import Tracks, Tried
 
 DT, FRAMES, NOISE, LENGTH = 1 / 30, 90, 0.003, 0.6
 
@@ -50,15 +60,18 @@ def measured():
     tracks = np.asarray(roll(first))
     tracks = tracks + NOISE * np.random.default_rng(0).standard_normal(tracks.shape)
     guess = pendulum(8.5, 0.25, Rattle(2))
-    return measure_physics(
-        guess,
-        tracks,
-        np.zeros((3, 0)),
-        DT,
-        mechanism="pendulum",
-        scale=Scale(("pivot", "ball"), 0.3),
-        worth={"drag": 0.01, "viscous": 5.0},
-    )
+    worth = {"drag": 0.01, "viscous": 5.0}
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(physics, "evidence", lambda *_, pixel, tried: worth)
+        return measure_physics(
+            guess,
+            tracks,
+            np.zeros((3, 0)),
+            DT,
+            mechanism="pendulum",
+            scale=Scale(("pivot", "ball"), 0.3),
+            tried=Tried(),
+        )
 
 
 def test_constants_are_true_within_their_error_bars(measured):
@@ -91,6 +104,14 @@ def test_what_one_video_cannot_tell_is_no_number(measured):
 def test_a_rejected_force_is_stored_with_its_evidence(measured):
     assert measured.physics["rejected"] == {"drag": {"worth": 0.01, "needed": 0.2}}
     assert measured.physics["fps"] == pytest.approx(30)
+
+
+def test_the_result_says_what_was_fitted(measured):
+    assert measured.physics["measured_on"] == {"pieces": 3, "frames": FRAMES, "whole": True}
+    assert pieces_note(measured.physics) == ""
+    in_pieces = measured.physics | {"measured_on": {"pieces": 6, "frames": 45, "whole": False}}
+    assert "measured on 6 pieces of 45 frames: no motion" in pieces_note(in_pieces)
+    assert pieces_note(in_pieces) in physics_table(in_pieces)
 
 
 def test_physics_come_back_from_the_run_folder(measured, tmp_path):

@@ -233,11 +233,8 @@ def _measure(
     run: Path, model: "AbstractModel", data: "DataSet", motion: "Evaluation", mechanism: str, scale: "Scale | None"
 ) -> "tuple[Physics, Evaluation]":
     """Measure the constants on the training keypoints; return them with the scores of the prediction, and its fan."""
-    import jax.numpy as jnp
-
-    from keycld.evaluation import fitted_tracks, measure_physics, restless, with_fan
+    from keycld.evaluation import fitted_tracks, measure_physics, pieces_note, restless, with_fan
     from keycld.mechanics import MechanicalDynamics, terms_of
-    from keycld.models.keycld.identify import Tracks, evidence, explain
     from keycld.models.keycld.model import KeyCLD
     from keycld.models.keycld.recipes.clip import ClipConfig
     from keycld.training import read_config
@@ -247,18 +244,21 @@ def _measure(
     dynamics = model.dynamics
     assert isinstance(dynamics, MechanicalDynamics)
     x, u = fitted_tracks(model, data)
-    tracks = Tracks(jnp.asarray(x, jnp.float32), jnp.asarray(u), jnp.float32(data.dt), model.constants)
-    _, tracks = explain(dynamics, tracks)
-    worth = {}
-    if config.terms is None:
-        worth = evidence(dynamics, tracks, pixel=motion.scores["pixel"], tried=config.tried)
-    name = Path(mechanism).stem
     measured = measure_physics(
-        dynamics, tracks.x, tracks.u, data.dt, mechanism=name, scale=scale, worth=worth, needed=config.tried.worth
+        dynamics,
+        x,
+        u,
+        data.dt,
+        mechanism=Path(mechanism).stem,
+        scale=scale,
+        tried=config.tried if config.terms is None else None,
+        pixel=motion.scores["pixel"],
     )
     motion = with_fan(motion, measured.estimate, data.split("test").input[0])
     said = ("given", "frames", "size", "error", "valid", "baselines", "skeleton", "noise", "within")
     prediction = {name: motion.scores[name] for name in said if name in motion.scores}
+    if note := pieces_note(measured.physics):
+        print(f"constants    {note}", flush=True)
     if caution := restless(prediction["noise"]):
         print(f"caution      {caution}", flush=True)
     return {**measured.physics, "prediction": prediction, "forces": sorted(terms_of(model.law))}, motion

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.evaluation.outcome import Evaluation
-from keycld.evaluation.physics_file import Constant, Physics, Rejected
+from keycld.evaluation.physics_file import Constant, MeasuredOn, Physics, Rejected
 from keycld.mechanics import (
     ConstrainedLagrangian,
     Derived,
@@ -25,7 +25,7 @@ from keycld.mechanics import (
     rest_pose,
     terms_of,
 )
-from keycld.models.keycld.identify import MISSED, WORTH, Tracks, follow, free_leaves
+from keycld.models.keycld.identify import MISSED, Tracks, Tried, evidence, explain, follow, free_leaves
 
 # A positive constant with a larger relative error is not determined: its linear error bar means nothing.
 _VAGUE = 0.5
@@ -77,24 +77,25 @@ def measure_physics(
     *,
     mechanism: str | None = None,
     scale: Scale | None = None,
-    worth: Mapping[str, float] | None = None,
-    needed: float = WORTH,
+    tried: Tried | None = None,
+    pixel: float = 0.0,
 ) -> Measured:
     """Measure the physical constants of a mechanism from tracks of its keypoints.
 
     The law of a trained model is fitted once more, with exact derivatives, and the covariance of its parameters is
-    carried to each constant (`estimate`, `derive`).
+    carried to each constant (`estimate`, `derive`). Where no motions of the law follow a few recordings, pieces of them
+    are fitted.
 
     Args:
         dynamics: those of a trained model, `model.dynamics`; they are near the solution.
-        x: observed keypoints of the recordings that the constants are measured on, image-plane units; pieces of
-            them are taken where motions of the law do not follow the whole.
+        x: observed keypoints of the recordings that the constants are measured on, image-plane units.
         u: inputs, `[N, 0]` without any.
         dt: seconds between frames, in the time of the camera.
         mechanism: its name.
         scale: a known length or g, for constants in metres.
-        worth: of each kind of force that was tried (`keycld.models.keycld.identify.evidence`).
-        needed: what a kind must be worth to stay.
+        tried: which forces the law was chosen from, for the evidence against the others (`evidence`); None: its
+            forces were given.
+        pixel: size of a pixel, image-plane units; for that evidence.
 
     Raises:
         KeycldError: the scale does not fit the mechanism, or the motion does not determine its parameters at all.
@@ -103,14 +104,19 @@ def measure_physics(
     assert isinstance(law, ConstrainedLagrangian)
     seen = jnp.asarray(x, jnp.float32)
     shared = jnp.mean(jax.vmap(law.constraint)(seen.reshape(-1, seen.shape[-1])), axis=0)
-    found = _estimated(dynamics, Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared))
-    acting, tried = terms_of(law), worth or {}
+    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared)
+    _, followed = explain(dynamics, recordings)
+    worth = {} if tried is None else evidence(dynamics, followed, pixel=pixel, tried=tried)
+    found = _estimated(dynamics, followed)
+    acting, needed = terms_of(law), 0.0 if tried is None else tried.worth
+    pieces, frames = found.paths.shape[:2]
     physics = Physics(
         mechanism=mechanism,
         fps=1 / float(dt),
         constants=constants_of(found, scale),
-        rejected={kind: Rejected(worth=tried[kind], needed=needed) for kind in tried if kind not in acting},
+        rejected={kind: Rejected(worth=worth[kind], needed=needed) for kind in worth if kind not in acting},
         prediction={},
+        measured_on=MeasuredOn(pieces=pieces, frames=frames, whole=pieces == len(seen)),
     )
     return Measured(physics, found)
 

@@ -42,6 +42,20 @@ class Rejected(TypedDict):
     needed: float
 
 
+class MeasuredOn(TypedDict):
+    """What the constants were fitted to.
+
+    Attributes:
+        pieces: how many recordings, or pieces of recordings.
+        frames: of each.
+        whole: whether they are whole recordings; pieces are taken where no motion of the law follows the whole.
+    """
+
+    pieces: int
+    frames: int
+    whole: bool
+
+
 class Alternative(TypedDict):
     """A mechanism that a clip may show, with its evidence.
 
@@ -72,6 +86,7 @@ class Physics(TypedDict):
         constants: by name; the names are stable (docs/physics.md).
         rejected: forces that were tried and dropped, by kind.
         prediction: scores of a prediction that was not part of the fit, {} without one.
+        measured_on: what the constants were fitted to; of older versions it is missing.
         given: what the user has measured, by the name of the constant.
         forces: kinds of forces that act in addition to gravity.
         alternatives: the mechanisms that were compared, the chosen one first, where none was told.
@@ -83,6 +98,7 @@ class Physics(TypedDict):
     constants: dict[str, Constant]
     rejected: dict[str, Rejected]
     prediction: dict[str, Any]
+    measured_on: NotRequired[MeasuredOn]
     given: NotRequired[dict[str, float]]
     forces: NotRequired[list[str]]
     alternatives: NotRequired[list[Alternative]]

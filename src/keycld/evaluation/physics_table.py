@@ -5,6 +5,16 @@ import math
 from keycld.evaluation.physics_file import Physics
 
 
+def pieces_note(physics: Physics) -> str:
+    """Say that the constants are those of pieces of the recordings; "" if they are not."""
+    on = physics.get("measured_on")
+    if on is None or on["whole"]:
+        return ""
+    return (
+        f"measured on {on['pieces']} pieces of {on['frames']} frames: no motion of the law follows the whole recordings"
+    )
+
+
 def physics_table(physics: Physics) -> str:
     """Return the constants with their error bars, what was rejected, and the prediction, a line each."""
     lines = []
@@ -17,6 +27,8 @@ def physics_table(physics: Physics) -> str:
             continue
         shown = f"{value:.6g}" if not sigma else f"{_rounded(value, sigma)} ± {sigma:.2g}"
         lines.append(f"{name:{width}}  {shown} {'' if unit == '1' else unit}".rstrip())
+    if note := pieces_note(physics):
+        lines.append(note)
     for kind, rejected in physics["rejected"].items():
         lines.append(f"rejected: {kind}, worth {rejected['worth']:.2g} of the cost, needed {rejected['needed']:.2g}")
     if physics["prediction"]:

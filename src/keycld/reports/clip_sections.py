@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from keycld.drawing import save_figure
-from keycld.evaluation import restless
+from keycld.evaluation import pieces_note, restless
 from keycld.reports import clip_figures, html
 from keycld.reports.run import Run
 
@@ -56,6 +56,8 @@ def constants(run: Run) -> str:
         f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
         "the side of the cropped picture. ± is one standard error."
     )
+    if note := pieces_note(run.physics):
+        about += f" The constants were {note}."
     notes = "".join(
         html.paragraph(f"<code>{html.text(name)}</code>: {html.text(each['note'])}.", "note")
         for name, each in run.physics["constants"].items()
