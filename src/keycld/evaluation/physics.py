@@ -25,7 +25,7 @@ from keycld.mechanics import (
     rest_pose,
     terms_of,
 )
-from keycld.models.keycld.identify import MISSED, Tracks, Tried, evidence, explain, follow, free_leaves
+from keycld.models.keycld.identify import MISSED, Tracks, Tried, evidence, explain, follow, free_leaves, kinds_tried
 
 # A positive constant with a larger relative error is not determined: its linear error bar means nothing.
 _VAGUE = 0.5
@@ -104,7 +104,8 @@ def measure_physics(
     assert isinstance(law, ConstrainedLagrangian)
     seen = jnp.asarray(x, jnp.float32)
     shared = jnp.mean(jax.vmap(law.constraint)(seen.reshape(-1, seen.shape[-1])), axis=0)
-    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared)
+    among = () if tried is None else kinds_tried(tried.kinds)
+    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared, among=among)
     _, followed = explain(dynamics, recordings)
     worth = {} if tried is None else evidence(dynamics, followed, pixel=pixel, tried=tried)
     found = _estimated(dynamics, followed)

@@ -132,11 +132,14 @@ def fit_motions(
     motions = (observed, constants, u, *([] if own is None else [own.expected]))
     begin = _Search(z, jnp.full(count, 1e-2), theta, damping, least, curvature, observed, none, none)
 
+    # Parts of the same size, or what is computed for each would be compiled for the last one too.
+    alike = -(-count // -(-count // chunk))
+
     def unfinished(now: _Search) -> Array:
         return (now.stalls < _STALLS) & (now.taken < searches + iterations)
 
     def improve(now: _Search) -> _Search:
-        return _improved(now, cost, chosen, now.taken < searches, motions, min(chunk, count))
+        return _improved(now, cost, chosen, now.taken < searches, motions, alike)
 
     end = jax.lax.while_loop(unfinished, improve, begin)
     theta, off = end.theta, end.paths - observed

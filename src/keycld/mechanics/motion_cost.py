@@ -121,52 +121,50 @@ class MotionCost:
         states, error = jnp.concatenate([path.x, path.v], axis=1), path.x - x
         inputs = jnp.broadcast_to(u[None], (length, u.shape[0])) if u.ndim == 1 else u
 
-        def shaped(numbers: Array) -> tuple[Array, Array]:
-            """Return θ with these numbers of the constraints, and the constants."""
-            changed = theta.at[self.geometry].set(numbers)
-            return changed, self.constants(z, changed, x, given)
+        # Numbers of the constraints and own parameters are differentiated together with the state, for half of the
+        # program. They change the constants too, by their slopes alone, or each frame would compute these anew.
+        free = len(self.geometry)
+        rest = jnp.concatenate([theta[self.geometry], z[moving:]])
 
-        def step(state: Array, u: Array, theta: Array = theta, constants: Array = constants, z: Array = z) -> Array:
-            now = State(Motion(state[:dim], state[dim:]), {"constants": constants, **self.own(z)})
-            return jnp.concatenate(self.dynamics(theta).step(now, u, self.dt).coordinates)
+        def changed(rest: Array) -> tuple[Array, Array]:
+            """Return z and θ with these own parameters and numbers of the constraints."""
+            other = theta.at[self.geometry].set(rest[:free]) if free else theta
+            return jnp.concatenate([z[:moving], rest[free:]]), other
+
+        by_rest = jax.jacfwd(lambda rest: self.constants(*changed(rest), x, given))(rest)
+
+        def held(now: Array) -> Array:
+            return constants + jnp.matmul(by_rest, now - rest, precision="highest") if rest.size else constants
+
+        def step(both: Array, u: Array) -> Array:
+            state, now = both[:moving], both[moving:]
+            own, other = changed(now)
+            begin = State(Motion(state[:dim], state[dim:]), {"constants": held(now), **self.own(own)})
+            return jnp.concatenate(self.dynamics(other).step(begin, u, self.dt).coordinates)
+
+        def project(both: Array) -> Array:
+            own, other = changed(both[moving:])
+            return self.projected(own.at[:moving].set(both[:moving]), other, held(both[moving:]))
 
         def accelerate(theta: Array, state: Array, u: Array) -> Array:
             return own_law(self.dynamics(theta).law, self.own(z)).acceleration(state[:dim], state[dim:], u)
 
-        transitions = jax.vmap(jax.jacfwd(step))(states[:-1], inputs[:-1])
-        first = jax.jacfwd(self.projected)(z, theta, constants)
-        first = jnp.concatenate([first, jnp.zeros((moving, theta.size))], axis=1)
+        def placed(by: Array, everything: Array) -> Array:
+            """Return derivatives by (z, θ) with these of the numbers in `rest`."""
+            everything = everything.at[..., size + self.geometry].set(by[..., :free])
+            return everything.at[..., moving:size].set(by[..., free:])
+
+        slope = jax.vmap(lambda state, u: jax.jacfwd(step)(jnp.concatenate([state, rest]), u))(states[:-1], inputs[:-1])
+        transitions, stepped = slope[..., :moving], slope[..., moving:]
+        slope = jax.jacfwd(project)(jnp.concatenate([z[:moving], rest]))
+        first = jnp.pad(slope[:, :moving], ((0, 0), (0, size - moving + theta.size)))
+        first = placed(slope[:, moving:], first)
         slopes = jnp.zeros((length, dim, 0))
         if theta.size:
             slopes = jax.vmap(lambda state, u: jax.jacrev(accelerate)(theta, state, u))(states, inputs)
         here, then = slopes[:-1], slopes[1:]
         pushes = jnp.concatenate([self.dt**2 / 6 * (2 * here + then), self.dt / 2 * (here + then)], axis=1)
-        pushes = jnp.concatenate([jnp.zeros((length - 1, moving, size)), pushes], axis=2)
-        if self.geometry.size:
-            numbers, columns = theta[self.geometry], size + self.geometry
-            first = first.at[:, columns].set(jax.jacfwd(lambda numbers: self.projected(z, *shaped(numbers)))(numbers))
-            exact = jax.jacfwd(
-                lambda numbers: jax.vmap(lambda s, u: step(s, u, *shaped(numbers)))(states[:-1], inputs[:-1])
-            )
-            pushes = pushes.at[:, :, columns].set(exact(numbers))
-
-        if self.precision is not None:
-
-            def changed(own: Array) -> tuple[Array, Array]:
-                """Return z with these own parameters, and the constants."""
-                other = jnp.concatenate([z[:moving], own])
-                return other, self.constants(other, theta, x, given)
-
-            def first_of(own: Array) -> Array:
-                other, held = changed(own)
-                return self.projected(other, theta, held)
-
-            def steps_of(own: Array) -> Array:
-                other, held = changed(own)
-                return jax.vmap(lambda s, u: step(s, u, theta, held, other))(states[:-1], inputs[:-1])
-
-            first = first.at[:, moving:size].set(jax.jacfwd(first_of)(z[moving:]))
-            pushes = pushes.at[:, :, moving:size].set(jax.jacfwd(steps_of)(z[moving:]))
+        pushes = placed(stepped, jnp.concatenate([jnp.zeros((length - 1, moving, size)), pushes], axis=2))
 
         def pass_frame(slope: Array, matrices: tuple[Array, Array]) -> tuple[Array, Array]:
             slope = jnp.matmul(matrices[0], slope, precision="highest") + matrices[1]

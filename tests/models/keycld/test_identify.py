@@ -18,6 +18,7 @@ from keycld.mechanics import (
     Motion,
     OnLine,
     State,
+    fit_motions,
     terms_of,
     with_kinds,
 )
@@ -102,6 +103,35 @@ def test_forces_that_explain_no_more_give_way_to_a_spring_and_viscous_friction(m
     )
     tried = Tried(("springs", "viscous", "drag"), takes=takes)
     assert set(terms_of(identify.identify(model.dynamics, tracks, pixel=0.03, tried=tried).dynamics.law)) == found
+
+
+def test_one_compiled_fit_serves_laws_with_some_of_the_forces(monkeypatch):
+    """Forces that do not act leave the fit what it is, and nothing of them is left."""
+    phase, size = np.linspace(0, 6, 6)[:, None], np.linspace(0.2, 0.6, 6)[:, None]
+    x = size * np.sin(4 * DT * np.arange(FRAMES) + phase)
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    tracks = Tracks(jnp.stack([x, 0 * x], axis=-1), jnp.zeros((6, 0)), jnp.array(DT), jnp.zeros(1))
+    spring = eqx.tree_at(
+        lambda dynamics: dynamics.law,
+        model.dynamics,
+        with_kinds(model.law, ("springs",), key=jax.random.key(0)),
+    )
+    alone = identify._fitted(spring, tracks)
+    compiled = []
+
+    def fit(dynamics, *arguments, **named):
+        compiled.append(set(terms_of(dynamics.law)))
+        return fit_motions(dynamics, *arguments, **named)
+
+    monkeypatch.setattr(identify, "_fit", eqx.filter_jit(fit))
+    shared = dataclasses.replace(tracks, among=("springs", "viscous"))
+    found = identify._fitted(spring, shared)
+    for more in (model.dynamics, identify._fitted(model.dynamics, shared).dynamics):
+        assert terms_of(identify._fitted(more, shared).dynamics.law) == {}
+    assert compiled == [{"springs", "viscous"}]
+    assert set(terms_of(found.dynamics.law)) == {"springs"}
+    for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(alone), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-4)
 
 
 def test_a_potential_of_free_form_gives_way_to_a_spring_that_explains_as_much(capsys):

@@ -1,7 +1,7 @@
 """Identification of the law of motion from observed keypoints: which forces act, and how strong they are."""
 
 import dataclasses
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -64,6 +64,8 @@ class Tracks:
         located: whether unknown numbers of the constraints stay where the positions alone put them; otherwise they are
             fitted with the dynamics.
         own: first guess and prior of the parameters that differ by recording; None: there are none.
+        among: kinds of forces that a compiled fit to few recordings has, acting or not, so that one serves all laws
+            with some of them: it is compiled for tens of seconds and runs for one.
     """
 
     x: jax.Array
@@ -72,6 +74,7 @@ class Tracks:
     constants: jax.Array | None
     located: bool = False
     own: Own | None = None
+    among: tuple[str, ...] = ()
 
     def __getitem__(self, recordings: slice) -> "Tracks":
         """Return some of the recordings."""
@@ -183,7 +186,9 @@ def identify(
     if terms is not None:
         fitted, _ = in_pieces(lambda pieces: _identified(dynamics, terms, pieces), tracks)
         return Identified(fitted.dynamics, float(fitted.rms), {})
-    return in_pieces(lambda pieces: _judged(dynamics, pieces, pixel, tried or Tried()), tracks)[0]
+    tried = tried or Tried()
+    tracks = dataclasses.replace(tracks, among=kinds_tried(tried.kinds))
+    return in_pieces(lambda pieces: _judged(dynamics, pieces, pixel, tried), tracks)[0]
 
 
 def _judged(dynamics: MechanicalDynamics, tracks: Tracks, pixel: float, tried: Tried) -> Identified:
@@ -199,7 +204,7 @@ def _judged(dynamics: MechanicalDynamics, tracks: Tracks, pixel: float, tried: T
         if selected.rms > (1 + WORTH) * everything.rms:
             again = _identified(dynamics, kept, tracks)
             selected = _cheapest([selected, again])
-        plain = tuple(kind for kind in _PLAIN if kind in _kinds(tried.kinds))
+        plain = tuple(kind for kind in _PLAIN if kind in kinds_tried(tried.kinds))
         if tried.takes and not set(kept) <= set(plain):
             simple = _identified(dynamics, plain, tracks)
             if simple.cost <= (1 + tried.worth) * selected.cost:
@@ -242,7 +247,7 @@ def _with_everything(
     begins from the one potential energy that explains most alone: own parameters follow any law a part of the way, and
     from there no fit of all terms finds the way back.
     """
-    kinds, few = _kinds(tried), tracks[some]
+    kinds, few = kinds_tried(tried), tracks[some]
     if tracks.own is not None:
         energies = [kind for kind in kinds if issubclass(term_kinds()[kind], AbstractPotentialTerm)]
         alone = _cheapest(_identified(affine.dynamics, each, few) for each in ((), *((kind,) for kind in energies)))
@@ -263,8 +268,8 @@ def _fitted_more(fitted: Fitted, kinds: tuple[str, ...], tracks: Tracks) -> Fitt
     return _fitted(_with_law(fitted.dynamics, with_kinds(law, further, key=jax.random.key(0))), tracks, fitted)
 
 
-def _kinds(tried: tuple[str, ...] | None) -> tuple[str, ...]:
-    """Return the kinds that are tried: by default all but the last resort."""
+def kinds_tried(tried: tuple[str, ...] | None = None) -> tuple[str, ...]:
+    """Return the kinds that are tried, of `Tried.kinds`: by default all but the last resort."""
     return tuple(kind for kind, term in term_kinds().items() if (term.tried if tried is None else kind in tried))
 
 
@@ -298,6 +303,8 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     Returns:
         The fit, and what was fitted: the recordings, or pieces of a few that the given law does not follow.
     """
+    if tried is not None:
+        tracks = dataclasses.replace(tracks, among=kinds_tried(tried.kinds))
     # Own parameters and lost motions begin far from where they end, and the law must not follow them there.
     few, begin = len(tracks.x) < _SEVERAL, None
     if few or tracks.own is not None:
@@ -308,7 +315,7 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     if tracks.own is None and lost:
         fitted = _cheapest([fitted, _climb(dynamics, tracks)])
     if tried is not None and _LAST_RESORT in terms_of(_lagrangian(dynamics)):
-        known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=_kinds(tried.kinds)))
+        known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=kinds_tried(tried.kinds)))
         simpler = _fitted(known.dynamics, tracks)
         if _sound(simpler) and not fitted.rms < _LESS * simpler.rms:
             return simpler, tracks
@@ -359,6 +366,7 @@ def evidence(
         tried: as in `identify`.
     """
     tried = tried or Tried()
+    tracks = dataclasses.replace(tracks, among=kinds_tried(tried.kinds))
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     alone = _identified(dynamics, (), tracks)
     everything = _with_everything(alone, tracks, some, tried.kinds, good=_GOOD * pixel)
@@ -394,9 +402,13 @@ def _fitted(
     own = tracks.own
     if own is not None and begin is not None and begin.own is not None:
         own = own._replace(numbers=begin.own)
-    return _fit(
-        dynamics,
-        free_leaves(dynamics),
+    absent: list[str] = []
+    if own is None and len(tracks.x) < 2 * _FEW and _LAST_RESORT not in terms_of(_lagrangian(dynamics)):
+        absent = [kind for kind in tracks.among if kind not in terms_of(_lagrangian(dynamics))]
+    whole, active = _with_idle(dynamics, active, absent) if absent else (dynamics, active)
+    fitted = _fit(
+        whole,
+        free_leaves(whole),
         tracks.x,
         tracks.u,
         tracks.dt,
@@ -407,6 +419,23 @@ def _fitted(
         frames=jnp.array(tracks.x.shape[1] if frames is None else frames),
         iterations=jnp.array(iterations),
     )
+    return _without_idle(fitted, absent) if absent else fitted
+
+
+def _with_idle(dynamics: MechanicalDynamics, active: Any, kinds: Sequence[str]) -> tuple[MechanicalDynamics, Any]:
+    """Return dynamics with further terms that do not act, and what a fit changes of them: no number of these terms."""
+    whole = with_kinds(_lagrangian(dynamics), kinds, key=jax.random.key(0))
+    idle = {kind: jax.tree.map(jnp.zeros_like, term) for kind, term in terms_of(whole).items() if kind in kinds}
+    law = _lagrangian(active)
+    return _with_law(dynamics, whole), _with_law(active, with_terms(law, terms_of(law) | idle))
+
+
+def _without_idle(fitted: Fitted, kinds: Sequence[str]) -> Fitted:
+    law = _lagrangian(fitted.dynamics)
+    left = with_terms(law, {kind: term for kind, term in terms_of(law).items() if kind not in kinds})
+    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(fitted.dynamics, free_leaves(fitted.dynamics)))
+    kept = np.concatenate([np.full(leaf.size, _owner(path, kinds) is None) for path, leaf in leaves])
+    return fitted._replace(dynamics=_with_law(fitted.dynamics, left), curvature=fitted.curvature[np.ix_(kept, kept)])
 
 
 def _active(dynamics: MechanicalDynamics, located: bool) -> Any:
