@@ -133,14 +133,14 @@ def blobs(monkeypatch):
 def test_the_frames_of_a_recording_are_named_together(blobs):
     """In the second recording the first keypoint is the outer part; its looks stay with it."""
     model, frames, x = blobs
-    observed = model.observe_clips(frames)
+    observed = eqx.filter_jit(model.observe_clips)(frames)
     np.testing.assert_allclose(observed.keypoints.reshape(x.shape), x, atol=1e-6)
     np.testing.assert_array_equal(observed.looks[0], jnp.eye(2, 4))
     np.testing.assert_array_equal(observed.looks[-1], jnp.eye(2, 4)[::-1])
     one = model.observe(frames[1, 0])
     np.testing.assert_allclose(one.keypoints, x[1, 0], atol=1e-6)
     for k in (0, 1):
-        state = model.infer(frames[k, :3], jnp.array(0.05), jnp.zeros(0))
+        state = eqx.filter_jit(model.infer)(frames[k, :3], jnp.array(0.05), jnp.zeros(0))
         np.testing.assert_allclose(model.keypoints(state), x[k, model.initial_state.anchor], atol=0.01)
         np.testing.assert_array_equal(state.parameters["looks"], observed.looks[12 * k])
 
@@ -149,7 +149,7 @@ def test_the_vision_stage_does_not_ask_which_part_is_which(blobs):
     """No constraint acts, and the order of the keypoints is drawn for each clip."""
     model, frames, _ = blobs
     clip = Clip(frames[:, :2], None, jnp.arange(2)[None].repeat(2, 0), jnp.zeros((2, 0)), jnp.full(2, 0.05), 2)
-    loss = VisionLoss(constraint=(1e6, 1e6), coupling=1e6, patches=(0.0, 0.0), centre=0.0, free=True)
+    loss = eqx.filter_jit(VisionLoss(constraint=(1e6, 1e6), coupling=1e6, patches=(0.0, 0.0), centre=0.0, free=True))
     totals = [loss(model, clip, key=jax.random.key(k), step=jnp.array(50)) for k in range(6)]
     assert max(float(total) for total, _ in totals) < 1e4
     assert len({round(float(terms["reconstruction"]), 3) for _, terms in totals}) > 1
@@ -158,5 +158,5 @@ def test_the_vision_stage_does_not_ask_which_part_is_which(blobs):
 def test_predictions_begin_from_named_keypoints(blobs):
     model, frames, _ = blobs
     clip = Clip(frames[:, :4], None, jnp.arange(4)[None].repeat(2, 0), jnp.zeros((2, 0)), jnp.full(2, 0.05), 4)
-    _, terms = PredictionLoss()(model, clip, key=jax.random.key(0), step=jnp.array(0))
+    _, terms = eqx.filter_jit(PredictionLoss())(model, clip, key=jax.random.key(0), step=jnp.array(0))
     assert float(terms["constraint"]) < 1e-8  # the lengths are those of the swings in every frame

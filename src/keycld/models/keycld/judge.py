@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved, turns_within
-from keycld.models.keycld.identify import MISSED, Tracks, explain, nearest_polynomials
+from keycld.models.keycld.identify import MISSED, Tracks, Tried, explain, kinds_tried, nearest_polynomials
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
@@ -53,7 +53,13 @@ def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, wors
 
 
 def judge_dynamics(
-    model: Any, data: Resident, terms: Mapping[str, float], *, worst: float, small: float = 0.0
+    model: Any,
+    data: Resident,
+    terms: Mapping[str, float],
+    *,
+    worst: float,
+    small: float = 0.0,
+    tried: Tried | None = None,
 ) -> str | None:
     """Return what has failed in the dynamics stage, or None: the law may not explain how the keypoints move.
 
@@ -85,6 +91,7 @@ def judge_dynamics(
         small: pixels of error that pass. After vision alone keypoints may be wrong by tenths of a pixel, in ways that
             last for many frames; where motions are slow, a right law is then no nearer than constant accelerations.
             The stage joint corrects them (two bodies: 0.21 → 0.01 pixels), and less passes after it.
+        tried: which forces the law was chosen from: a fit to a few recordings is compiled for all of them already.
     """
     if worst >= 1 or not isinstance(model, KeyCLD) or not isinstance(model.dynamics, MechanicalDynamics):
         return None
@@ -95,7 +102,7 @@ def judge_dynamics(
             break
         if not frames and (failure := _collapsed(model.law, x, 2 / max(data.shape[2:4]))):
             break
-        failure, frames = _unexplained(model, data, x, u, worst=worst, small=small), x.shape[1]
+        failure, frames = _unexplained(model, data, x, u, worst, small, tried), x.shape[1]
         if failure is None:
             break
     return failure
@@ -117,12 +124,14 @@ def _collapsed(law: ConstrainedLagrangian, x: jax.Array, pixel: float) -> str | 
 
 
 def _unexplained(
-    model: KeyCLD, data: Resident, x: jax.Array, u: jax.Array, *, worst: float, small: float
+    model: KeyCLD, data: Resident, x: jax.Array, u: jax.Array, worst: float, small: float, tried: Tried | None
 ) -> str | None:
     """Return what the law of a model does not explain of observed keypoints `[N, T, 2K]`, or None."""
     assert isinstance(model.dynamics, MechanicalDynamics)
     pixel = 2 / max(data.shape[2:4])
-    fitted, tracks = explain(model.dynamics, Tracks(x, u, data.dt, model.constants, own=own_guess(model, x)))
+    among = () if tried is None else kinds_tried(tried.kinds)
+    recordings = Tracks(x, u, data.dt, model.constants, own=own_guess(model, x), among=among)
+    fitted, tracks = explain(model.dynamics, recordings)
     x = tracks.x
     seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)
 
@@ -190,7 +199,14 @@ def observation_error(law: ConstrainedLagrangian, x: Float[np.ndarray, "N T dim"
 
 
 def judge_trained(
-    model: Any, data: Resident, terms: Mapping[str, float], *, reconstruction: float, law: float, small: float = 0.0
+    model: Any,
+    data: Resident,
+    terms: Mapping[str, float],
+    *,
+    reconstruction: float,
+    law: float,
+    small: float = 0.0,
+    tried: Tried | None = None,
 ) -> str | None:
     """Return what has failed in the whole training, or None: the criteria of its first two stages, at its end.
 
@@ -204,11 +220,12 @@ def judge_trained(
         reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
         law: `worst` of `judge_dynamics`.
         small: pixels of error that pass there.
+        tried: as in `judge_dynamics`.
     """
     some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
     error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
     seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
-    return seen or judge_dynamics(model, data, terms, worst=law, small=small)
+    return seen or judge_dynamics(model, data, terms, worst=law, small=small, tried=tried)
 
 
 @eqx.filter_jit
