@@ -134,3 +134,27 @@ def test_errors_of_keypoints_are_recognised_without_a_law():
     radius = 0.6 + 0.02 * np.sqrt(2) * np.sin(2 * TIME + np.arange(6)[:, None])
     bent = observed(radius * np.sin(angle), -radius * np.cos(angle), 0.0)
     assert observation_error(pendulum, bent) == pytest.approx(0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("terms", [None, ("viscous",)])
+def test_a_law_that_was_chosen_is_judged_by_the_fit_it_was_chosen_with(monkeypatch, recordings, terms):
+    """That fit has been compiled. Where the forces were given there is none."""
+
+    class SeenError(Exception):
+        pass
+
+    def explain(dynamics, tracks):
+        raise SeenError(set(tracks.among))
+
+    monkeypatch.setattr(judge, "explain", explain)
+    rod = Constraints(("bob",), (DistanceToPoint("bob"),))
+    config = config_for("keycld", "clip", width=8, terms=terms, constraints=rod)
+    stages = {stage.name: stage for stage in config.stages(Scene(SIZE, SIZE, 0, FRAMES, DT, 2))}
+    x = swings(4, 0.0)
+    monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: (jnp.asarray(x), jnp.zeros((6, 0))))
+    monkeypatch.setattr(judge, "judge_vision", lambda *_, **__: None)
+    monkeypatch.setattr(judge, "_rendering_error", lambda *_: 0.0)
+    for name in ("dynamics", "prior"):
+        with pytest.raises(SeenError) as seen:
+            stages[name].judge(cart(1.0), recordings, {})
+        assert seen.value.args[0] == (set(config.tried.kinds) if terms is None else set()), name
