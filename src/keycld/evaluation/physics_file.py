@@ -124,3 +124,13 @@ def load_physics(folder: str | Path) -> Physics:
         return read_json(path, Physics, "measure the physics again")
     except FileNotFoundError as error:
         raise KeycldError(f"no physical constants in '{folder}': measure them first (docs/physics.md).") from error
+
+
+def pieces_note(physics: Physics) -> str:
+    """Say that the constants are those of pieces of the recordings; "" if they are not."""
+    on = physics.get("measured_on")
+    if on is None or on["whole"]:
+        return ""
+    return (
+        f"measured on {on['pieces']} pieces of {on['frames']} frames: no motion of the law follows the whole recordings"
+    )

@@ -2,17 +2,7 @@
 
 import math
 
-from keycld.evaluation.physics_file import Physics
-
-
-def pieces_note(physics: Physics) -> str:
-    """Say that the constants are those of pieces of the recordings; "" if they are not."""
-    on = physics.get("measured_on")
-    if on is None or on["whole"]:
-        return ""
-    return (
-        f"measured on {on['pieces']} pieces of {on['frames']} frames: no motion of the law follows the whole recordings"
-    )
+from keycld.evaluation.physics_file import Physics, pieces_note
 
 
 def physics_table(physics: Physics) -> str:

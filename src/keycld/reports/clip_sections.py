@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from keycld.drawing import save_figure
-from keycld.evaluation import pieces_note, restless
+from keycld.evaluation import Physics, pieces_note, restless
 from keycld.reports import clip_figures, html
 from keycld.reports.run import Run
 
@@ -44,6 +44,16 @@ def acting(physics: Mapping[str, Any]) -> str:
     return ", ".join([constant, *physics.get("forces", [])])
 
 
+def about(physics: Physics) -> str:
+    """Say what the numbers of the table are measured in, and on what."""
+    said = (
+        f"Times are at {physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
+        "the side of the cropped picture. ± is one standard error."
+    )
+    note = pieces_note(physics)
+    return f"{said} The constants were {note}." if note else said
+
+
 def constants(run: Run) -> str:
     """Show the physical constants with error bars, next to what the user has measured."""
     if run.motion is None:
@@ -52,12 +62,6 @@ def constants(run: Run) -> str:
         return html.missing("constants", "Constants", "they have not been measured")
     given = run.physics.get("given", {})
     rows = [_constant(name, each, given.get(name)) for name, each in run.physics["constants"].items()]
-    about = (
-        f"Times are at {run.physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
-        "the side of the cropped picture. ± is one standard error."
-    )
-    if note := pieces_note(run.physics):
-        about += f" The constants were {note}."
     notes = "".join(
         html.paragraph(f"<code>{html.text(name)}</code>: {html.text(each['note'])}.", "note")
         for name, each in run.physics["constants"].items()
@@ -66,11 +70,8 @@ def constants(run: Run) -> str:
     caution = restless(run.motion.scores.get("noise", {}))
     notes = (html.paragraph(f"Caution: {html.text(caution)}") if caution else "") + notes
     table = html.table(["constant", "value", "given", "unit"], rows, "scores")
-    return html.section(
-        "constants",
-        "Constants",
-        html.paragraph(about) + table + html.paragraph(f"Forces that act: {html.text(acting(run.physics))}.") + notes,
-    )
+    forces = html.paragraph(f"Forces that act: {html.text(acting(run.physics))}.")
+    return html.section("constants", "Constants", html.paragraph(about(run.physics)) + table + forces + notes)
 
 
 def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:
