@@ -132,6 +132,12 @@ def test_one_compiled_fit_serves_laws_with_some_of_the_forces(monkeypatch):
     assert set(terms_of(found.dynamics.law)) == {"springs"}
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(alone), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-3, atol=1e-4)
+    right = 16.0 * model.law.masses[:, None]
+    given = eqx.tree_at(lambda dynamics: dynamics.law.potential.terms["springs"].stiffness, spring, right)
+    still = eqx.tree_at(lambda dynamics: dynamics.law.potential.weight, given, jnp.zeros(2))
+    kept, _ = identify.explain(still, shared)
+    assert float(kept.rms) < 1e-3
+    np.testing.assert_array_equal(kept.dynamics.law.potential.terms["springs"].stiffness, right)
 
 
 def test_a_potential_of_free_form_gives_way_to_a_spring_that_explains_as_much(capsys):
