@@ -132,7 +132,7 @@ def fit_motions(
     motions = (observed, constants, u, *([] if own is None else [own.expected]))
     begin = _Search(z, jnp.full(count, 1e-2), theta, damping, least, curvature, observed, none, none)
 
-    # Parts of the same size, or what is computed for each would be compiled for the last one too.
+    # Parts of one size where that is possible: what is computed for each is compiled again for a smaller last one.
     alike = -(-count // -(-count // chunk))
 
     def unfinished(now: _Search) -> Array:
