@@ -268,7 +268,7 @@ def _fitted_more(fitted: Fitted, kinds: tuple[str, ...], tracks: Tracks) -> Fitt
     return _fitted(_with_law(fitted.dynamics, with_kinds(law, further, key=jax.random.key(0))), tracks, fitted)
 
 
-def kinds_tried(tried: tuple[str, ...] | None = None) -> tuple[str, ...]:
+def kinds_tried(tried: tuple[str, ...] | None) -> tuple[str, ...]:
     """Return the kinds that are tried, of `Tried.kinds`: by default all but the last resort."""
     return tuple(kind for kind, term in term_kinds().items() if (term.tried if tried is None else kind in tried))
 
