@@ -33,6 +33,12 @@ def die_always():
     os._exit(3)
 
 
+def backend():
+    import jax
+
+    return jax.default_backend()
+
+
 def hang():
     time.sleep(60)
 
@@ -40,6 +46,11 @@ def hang():
 def test_results_come_with_their_index():
     tasks = [Task(double, (i,)) for i in range(5)]
     assert dict(run_in_processes(tasks, workers=2)) == {i: 2 * i for i in range(5)}
+
+
+def test_workers_leave_the_gpu_to_the_caller(monkeypatch):
+    monkeypatch.setenv("JAX_PLATFORMS", "cuda")
+    assert list(run_in_processes([Task(backend, ())])) == [(0, "cpu")]
 
 
 def test_a_users_error_arrives_as_it_is():

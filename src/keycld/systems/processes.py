@@ -42,6 +42,8 @@ class _Worker:
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
             # The workers fill the cores: threads inside each software renderer would only get in their way.
             "LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", "0"),
+            # What they compute is small and sequential, and a GPU may have neither memory nor contexts left for them.
+            "JAX_PLATFORMS": "cpu",
         }
         self._process = subprocess.Popen(
             [sys.executable, "-m", "keycld.systems.worker", str(os.getpid())],
