@@ -251,7 +251,7 @@ def _measure(
         data.dt,
         mechanism=Path(mechanism).stem,
         scale=scale,
-        tried=config.tried if config.terms is None else None,
+        tried=config.tried,
         pixel=motion.scores["pixel"],
     )
     motion = with_fan(motion, measured.estimate, data.split("test").input[0])

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.physics_file import load_physics as load_physics
     from keycld.evaluation.physics_file import pieces_note as pieces_note
     from keycld.evaluation.physics_file import save_physics as save_physics
-    from keycld.evaluation.physics_table import physics_table as physics_table
+    from keycld.evaluation.physics_text import physics_table as physics_table
     from keycld.evaluation.predicting import Predicted as Predicted
     from keycld.evaluation.predicting import predict as predict
     from keycld.evaluation.predicting import predict_batch as predict_batch

@@ -25,7 +25,7 @@ from keycld.mechanics import (
     rest_pose,
     terms_of,
 )
-from keycld.models.keycld.identify import MISSED, Tracks, Tried, evidence, explain, follow, free_leaves, kinds_tried
+from keycld.models.keycld.identify import MISSED, Tracks, Tried, evidence, explain, follow, free_leaves
 
 # A positive constant with a larger relative error is not determined: its linear error bar means nothing.
 _VAGUE = 0.5
@@ -107,8 +107,7 @@ def measure_physics(
     assert isinstance(law, ConstrainedLagrangian)
     seen = jnp.asarray(x, jnp.float32)
     shared = jnp.mean(jax.vmap(law.constraint)(seen.reshape(-1, seen.shape[-1])), axis=0)
-    among = () if tried is None else kinds_tried(tried.kinds)
-    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared, among=among)
+    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared).sharing(tried)
     _, followed = explain(dynamics, recordings)
     worth = {} if tried is None else evidence(dynamics, followed, pixel=pixel, tried=tried)
     found = _estimated(dynamics, followed)

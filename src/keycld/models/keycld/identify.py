@@ -83,6 +83,10 @@ class Tracks:
             own = own._replace(numbers=own.numbers[recordings], expected=own.expected[recordings])
         return dataclasses.replace(self, x=self.x[recordings], u=self.u[recordings], own=own)
 
+    def sharing(self, tried: "Tried | None") -> "Tracks":
+        """Return the same with the kinds that are tried in `among`; None: none are."""
+        return self if tried is None else dataclasses.replace(self, among=kinds_tried(tried.kinds))
+
     def halved(self) -> "Tracks | None":
         """Return both halves of each recording; None of many recordings, and where parabolas nearly explain halves."""
         count, length, dim = self.x.shape
@@ -187,7 +191,7 @@ def identify(
         fitted, _ = in_pieces(lambda pieces: _identified(dynamics, terms, pieces), tracks)
         return Identified(fitted.dynamics, float(fitted.rms), {})
     tried = tried or Tried()
-    tracks = dataclasses.replace(tracks, among=kinds_tried(tried.kinds))
+    tracks = tracks.sharing(tried)
     return in_pieces(lambda pieces: _judged(dynamics, pieces, pixel, tried), tracks)[0]
 
 
@@ -303,8 +307,7 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     Returns:
         The fit, and what was fitted: the recordings, or pieces of a few that the given law does not follow.
     """
-    if tried is not None:
-        tracks = dataclasses.replace(tracks, among=kinds_tried(tried.kinds))
+    tracks = tracks.sharing(tried)
     # Own parameters and lost motions begin far from where they end, and the law must not follow them there.
     few, begin = len(tracks.x) < _SEVERAL, None
     if few or tracks.own is not None:
@@ -354,9 +357,7 @@ def follow(dynamics: MechanicalDynamics, tracks: Tracks) -> Fitted:
     return _climb(dynamics, tracks)
 
 
-def evidence(
-    dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, tried: Tried | None = None
-) -> dict[str, float]:
+def evidence(dynamics: MechanicalDynamics, tracks: Tracks, *, pixel: float, tried: Tried) -> dict[str, float]:
     """Return the worth of each kind of force that is tried: by which share the cost rises without it, as in `identify`.
 
     Args:
@@ -365,8 +366,7 @@ def evidence(
         pixel: size of a pixel, image-plane units.
         tried: as in `identify`.
     """
-    tried = tried or Tried()
-    tracks = dataclasses.replace(tracks, among=kinds_tried(tried.kinds))
+    tracks = tracks.sharing(tried)
     some = slice(None, None, max(1, len(tracks.x) // _FEW))
     alone = _identified(dynamics, (), tracks)
     everything = _with_everything(alone, tracks, some, tried.kinds, good=_GOOD * pixel)

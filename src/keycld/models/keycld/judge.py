@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved, turns_within
-from keycld.models.keycld.identify import MISSED, Tracks, Tried, explain, kinds_tried, nearest_polynomials
+from keycld.models.keycld.identify import MISSED, Tracks, Tried, explain, nearest_polynomials
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
@@ -129,8 +129,7 @@ def _unexplained(
     """Return what the law of a model does not explain of observed keypoints `[N, T, 2K]`, or None."""
     assert isinstance(model.dynamics, MechanicalDynamics)
     pixel = 2 / max(data.shape[2:4])
-    among = () if tried is None else kinds_tried(tried.kinds)
-    recordings = Tracks(x, u, data.dt, model.constants, own=own_guess(model, x), among=among)
+    recordings = Tracks(x, u, data.dt, model.constants, own=own_guess(model, x)).sharing(tried)
     fitted, tracks = explain(model.dynamics, recordings)
     x = tracks.x
     seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)

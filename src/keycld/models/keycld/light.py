@@ -224,18 +224,17 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             groups=joint.groups[:2],
             prepare=fit_dynamics,
         )
-    tried = config.tried if config.terms is None else None
     if config.model == "node2":
         dynamics = _gradient_stage(second, clips)
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
-        judge = functools.partial(judge_dynamics, worst=second.worst, small=_SMALL, tried=tried)
+        judge = functools.partial(judge_dynamics, worst=second.worst, small=_SMALL, tried=config.tried)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
-    refit = functools.partial(fit_dynamics, tried=tried)
+    refit = functools.partial(fit_dynamics, tried=config.tried)
     judge = functools.partial(
-        judge_trained, reconstruction=first.worst, law=second.worst, small=config.TOLERATED, tried=tried
+        judge_trained, reconstruction=first.worst, law=second.worst, small=config.TOLERATED, tried=config.tried
     )
     prior = dataclasses.replace(
         joint,

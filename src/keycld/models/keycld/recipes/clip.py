@@ -42,7 +42,7 @@ class ClipConfig(FastConfig):
     """Third stage."""
 
     @property
-    def tried(self) -> "Tried":
+    def tried(self) -> "Tried | None":
         """Friction, and all kinds where a keypoint slides or is free; one short motion can ask for any other force.
 
         With keypoints that are a little wrong, a hinge would get a spring that it does not have.
@@ -50,6 +50,8 @@ class ClipConfig(FastConfig):
         from keycld.mechanics import AbstractDisplacement, AbstractDissipationTerm, term_kinds
         from keycld.models.keycld.identify import Tried
 
+        if self.terms is not None:
+            return None
         relations = [item for item in self.phi.items if isinstance(item, AbstractDisplacement)]
         hinged = {name for item in relations if item.normal is None for name in item.keypoints}
         if hinged != set(self.phi.keypoints) or any(item.normal is not None for item in relations):
@@ -67,7 +69,7 @@ class ClipConfig(FastConfig):
         vision = dataclasses.replace(vision, loss=vision.alternative, alternative=None, prepare=measure_background)
         found = [vision, *(stage for stage in others if stage.name != "joint" or stage.steps)]
         if self.model != "node2":
-            again = functools.partial(fit_again, tried=self.tried if self.terms is None else None)
+            again = functools.partial(fit_again, tried=self.tried)
             final = dataclasses.replace(found[-1], name="final", prepare=again, judge=None, validate=False)
             found.append(dataclasses.replace(final, with_validation=True))
         return tuple(found)

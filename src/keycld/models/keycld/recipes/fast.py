@@ -221,11 +221,11 @@ class FastConfig(KeyCLDConfig):
         return 2
 
     @property
-    def tried(self) -> "Tried":
-        """The forces that training tries, and what they must be worth to stay."""
+    def tried(self) -> "Tried | None":
+        """The forces that training tries, and what they must be worth to stay; None: they are given by `terms`."""
         from keycld.models.keycld.identify import Tried
 
-        return Tried()
+        return Tried() if self.terms is None else None
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
         """Return settings of schema 1, which were flat, 2, which had two joint stages, 3, without terms, and 4.
