@@ -231,6 +231,14 @@ def test_a_configuration_of_schema_4_is_migrated(whole, preset):
     assert (vision["patches"], vision["patch"]) == (([1.5, 1.5], 0.05) if preset == "clip" else ([0.0, 0.0], 0.06))
 
 
+def test_a_latent_model_of_schema_5_was_not_compared_with_its_encoder():
+    """`fast` did not have this term, which it has by default now."""
+    config = config_for("hgn", "fast")
+    old = {name: value for name, value in config.settings().items() if name != "consistency"}
+    assert config.consistency > 0
+    assert config.changed(config.migrated(old, 5)).consistency == 0
+
+
 def test_a_model_that_grew_is_resumed_and_loaded(whole, monkeypatch):
     """With springs that the settings do not name: the checkpoint does."""
     # Nothing is dropped at the end.

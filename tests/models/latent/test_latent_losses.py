@@ -113,6 +113,46 @@ def test_given_frames_alone_are_targets_of_the_original(getkey, clips):
     assert float(found.squared_error) == pytest.approx(np.mean(errors), rel=1e-5)
 
 
+@pytest.mark.parametrize("both_ways", [False, True])
+def test_motions_are_compared_with_the_states_that_the_encoder_sees(getkey, clips, both_ways):
+    """On average over places: |z(t) − μ(t)|² over the variance of μ, both by the model's own methods."""
+    model = certain(built(getkey(), regime="forward_backward" if both_ways else "forward"))
+    anchor, places = (2 if both_ways else 4), LENGTH - 4
+    targets = BOTH if both_ways else FORWARD
+    infer = eqx.filter_jit(model.infer)
+    seen, off = np.zeros((places, 4, 4)), np.zeros((places, 4))
+    for k, frames in enumerate(clips.frames):
+        first = LENGTH - 5 if both_ways and k >= 2 else 0
+        state = infer(frames[first : first + 5], jnp.array(0.05), jnp.zeros(0))
+        states = eqx.filter_jit(model.unroll)(state, first + anchor, jnp.array(0.05), jnp.zeros(0), LENGTH)
+        reached = np.concatenate(jax.tree.leaves(states.coordinates), axis=1)
+        for place in range(places):
+            there = infer(frames[place : place + 5], jnp.array(0.05), jnp.zeros(0))
+            seen[place, k] = np.concatenate(jax.tree.leaves(there.coordinates))
+            off[place, k] = np.sum((reached[place + anchor] - seen[place, k]) ** 2)
+    # One key, whose places are found by comparing with all combinations.
+    found = float(reconstruct(model, clips, getkey(), targets, True).strayed)
+    choices = np.array(np.meshgrid(*[range(places)] * 4)).reshape(4, -1).T
+    each = np.arange(4)
+    expected = [off[at, each].mean() / seen[at, each].var(axis=0).sum() for at in choices]
+    assert np.min(np.abs(np.array(expected) / found - 1)) < 1e-5
+    assert reconstruct(model, clips, getkey(), targets).strayed is None
+
+
+def test_consistency_is_a_term_of_both_losses(getkey, clips):
+    model, key = built(getkey()), getkey()
+
+    def value(loss):
+        memory = {"memory": loss.initial()} if isinstance(loss, GECOLoss) else {}
+        return eqx.filter_jit(loss)(model, clips, key=key, step=jnp.array(0), **memory)[:2]
+
+    for loss in (ELBOLoss(0.1, False, FORWARD), GECOLoss(1e-3, 0.01, FORWARD)):
+        plain, without = value(loss)
+        weighed, terms = value(dataclasses.replace(loss, consistency=0.5))
+        assert "strayed" not in without
+        assert float(weighed - plain) == pytest.approx(0.5 * float(terms["strayed"]), rel=1e-3)
+
+
 def test_a_few_random_frames_estimate_the_error_of_all(getkey, clips):
     """Two of five targets: other ones with each key, on average the same error, and S is still that of all."""
     model = certain(built(getkey()))

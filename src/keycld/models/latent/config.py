@@ -1,7 +1,8 @@
 """What all models of the family share: how images become a latent vector, and how they are trained."""
 
 import dataclasses
-from typing import TYPE_CHECKING, ClassVar
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from keycld._errors import KeycldError, unknown
 from keycld.models.config import ModelConfig, at_least_one
@@ -55,6 +56,9 @@ class LatentConfig(ModelConfig):
     `frame`: that of one frame, the mean over the window, as in eq. (3)."""
     kappa: float = 0.001
     """Mean squared error a value that `geco` asks for."""
+    consistency: float = 0.0
+    """Weight of the squared distance of the state that a motion reaches from the one that the encoder sees there, as
+    a share of the variance. 0: they are not compared, as in the paper."""
     rate: float = 1.5e-4
     """Learning rate of Adam."""
     steps: int = 500_000
@@ -73,6 +77,8 @@ class LatentConfig(ModelConfig):
                 raise unknown(name, getattr(self, name), choices)
         if self.latent < 2 or self.latent % 2:
             raise KeycldError(f"setting latent is an even number of at least 2, not {self.latent}.")
+        if self.regime == "given" and self.consistency:
+            raise KeycldError("regime given has no frames after the given ones, so setting consistency is 0 with it.")
         if self.regime != "forward" and not self.REVERSIBLE:
             raise KeycldError(f"model {self.model} cannot run backward, so its regime is forward, not {self.regime}.")
         if self.both_ways and (self.given % 2 == 0 or self.batch < 2):
@@ -80,6 +86,10 @@ class LatentConfig(ModelConfig):
                 "regime forward_backward takes an odd number of given frames, which have a middle, and a batch of 2 or "
                 f"more, not given {self.given} and batch {self.batch}."
             )
+
+    def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
+        """Return settings of schema 5, in which motions were not compared with the encoder."""
+        return {**settings, "consistency": 0.0}
 
     @property
     def both_ways(self) -> bool:
@@ -128,9 +138,10 @@ class LatentConfig(ModelConfig):
 
         at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
         targets = Targets(self.both_ways, self.given_are_targets, self.rendered, at_once)
+        consistency = self.consistency or None
         if self.objective == "geco":
-            return GECOLoss(self.kappa, self.rate, targets)
-        return ELBOLoss(self.beta, self.kl_against == "frame", targets)
+            return GECOLoss(self.kappa, self.rate, targets, consistency)
+        return ELBOLoss(self.beta, self.kl_against == "frame", targets, consistency)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return one stage that trains everything, with a validation score at its end."""
@@ -168,6 +179,9 @@ class FastSettings(LatentConfig):
     """Weight of the KL divergence in `elbo`."""
     taper: bool = True
     """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
+    consistency: float = 0.001
+    """Weight of the squared distance of the state that a motion reaches from the one that the encoder sees there, as
+    a share of the variance. 0: they are not compared, as in the paper."""
     rendered: int = 8
     """Random target frames of each window that a step renders and compares; 0: all of them."""
     rate: float = 1.5e-3

@@ -2,6 +2,7 @@
 
 Likelihood: every value of a picture is normal with variance 1/2 around the rendered one, so −log p = (x − μ)² + ½ ln π.
 Divergence: KL(q(z|x) ‖ N(0, 1)) = Σ ½ (μ² + σ² − 1 − ln σ²). S is the number of values, T H W 3, of a window's targets.
+Consistency, which is ours: a state that a motion has reached is the one that the encoder sees there (`strayed`).
 """
 
 import math
@@ -10,9 +11,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import optax
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.data import Clip
+from keycld.mechanics import State
 from keycld.models.base import Gaussian
 from keycld.models.latent.model import AbstractLatentModel
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Terms
@@ -43,6 +46,7 @@ class Reconstruction(NamedTuple):
 
     Attributes:
         squared_error: mean of (x − μ)² over all values of all target frames.
+        strayed: how far motions are from the states that the encoder sees, by `strayed`; None where nobody asked.
         kl: divergence of the posterior from the prior, nats, mean over windows.
         frames: T, target frames of a window.
         values: S, values of a window's target frames.
@@ -50,6 +54,7 @@ class Reconstruction(NamedTuple):
     """
 
     squared_error: Float[Array, ""]
+    strayed: Float[Array, ""] | None
     kl: Float[Array, ""]
     frames: int
     values: int
@@ -57,29 +62,31 @@ class Reconstruction(NamedTuple):
 
 
 class ELBOLoss(AbstractLoss):
-    """−log p(x|z) / S + β KL / S, mean over windows (eq. (3), and metrics of the released code).
+    """−log p(x|z) / S + β KL / S + γ strayed, mean over windows (eq. (3), and metrics of the released code).
 
     Attributes:
         beta: β. The benchmark tries 0.001, 0.1, 1 and 2.
         per_frame: β KL T / S instead: the likelihood counts as a mean over frames, as eq. (3) prints it.
         targets: which frames are compared.
+        consistency: γ; None: motions are not compared with the encoder.
     """
 
     beta: float
     per_frame: bool
     targets: Targets
+    consistency: float | None = None
 
     def __call__(
         self, model: AbstractLatentModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""]
     ) -> tuple[Float[Array, ""], Terms]:
         """Evaluate the loss on windows of consecutive frames."""
-        found = reconstruct(model, clips, key, self.targets)
+        found = reconstruct(model, clips, key, self.targets, self.consistency is not None)
         weight = self.beta * (found.frames if self.per_frame else 1) / found.values
-        return _likelihood(found) + weight * found.kl, _terms(found)
+        return _likelihood(found) + weight * found.kl + _inconsistency(found, self.consistency), _terms(found)
 
 
 class GECOLoss(AbstractStatefulLoss):
-    """λ C + KL / S with the constraint C = mean squared error − κ; Adam raises λ while C > 0, and lowers it below.
+    """λ C + KL / S + γ strayed, C = mean squared error − κ; Adam raises λ while C > 0, and lowers it below.
 
     λ = softplus(v) with λ = 1 at first. Rezende and Viola 2018, "Taming VAEs"; as in HGN, without
     its moving average.
@@ -88,11 +95,13 @@ class GECOLoss(AbstractStatefulLoss):
         kappa: κ, the error that is asked for.
         rate: learning rate of v.
         targets: which frames are compared.
+        consistency: γ; None: motions are not compared with the encoder.
     """
 
     kappa: float
     rate: float
     targets: Targets
+    consistency: float | None = None
 
     def initial(self) -> Any:
         """Return v = ln(e − 1) and the state of its Adam."""
@@ -103,18 +112,20 @@ class GECOLoss(AbstractStatefulLoss):
         self, model: AbstractLatentModel, clips: Clip, *, key: PRNGKeyArray, step: Int[Array, ""], memory: Any
     ) -> tuple[Float[Array, ""], Terms, Any]:
         """Evaluate the loss on windows of consecutive frames, and move λ."""
-        found = reconstruct(model, clips, key, self.targets)
+        found = reconstruct(model, clips, key, self.targets, self.consistency is not None)
         raw, constraint = memory["raw"], found.squared_error - self.kappa
         multiplier = jax.nn.softplus(raw)
         # Ascent: Adam descends along the negative gradient of λ C.
         slope = -jax.lax.stop_gradient(constraint) * jax.nn.sigmoid(raw)
         update, adam = optax.adam(self.rate).update(slope, memory["adam"])
-        loss = multiplier * constraint + found.kl / found.values
+        loss = multiplier * constraint + found.kl / found.values + _inconsistency(found, self.consistency)
         terms = _terms(found) | {"constraint": constraint, "multiplier": multiplier}
         return loss, terms, {"raw": raw + update, "adam": adam}
 
 
-def reconstruct(model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, targets: Targets) -> Reconstruction:
+def reconstruct(
+    model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, targets: Targets, consistent: bool = False
+) -> Reconstruction:
     """Sample a latent vector for each window and render the window from it.
 
     Args:
@@ -122,6 +133,7 @@ def reconstruct(model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, targ
         clips: windows of consecutive frames, at least as long as what the model is given.
         key: of the samples.
         targets: which frames are compared.
+        consistent: whether motions are compared with the encoder too.
     """
     assert clips.frames is not None
     batch, length, height, width, _ = clips.frames.shape
@@ -132,14 +144,14 @@ def reconstruct(model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, targ
         noise = jax.random.normal(jax.random.fold_in(key, first), posterior.mean.shape)
         latent = posterior.mean + posterior.deviation * noise
 
-        def motion(latent: Array, u: Array, dt: Array, at: int = first + model.anchored) -> Array:
-            states = model.unroll(model.state(latent), at, dt, u, length)
-            return jax.vmap(model.visible)(states)
+        def motion(latent: Array, u: Array, dt: Array, at: int = first + model.anchored) -> State:
+            return model.unroll(model.state(latent), at, dt, u, length)
 
         states.append(jax.vmap(motion)(latent, clips.u[part], clips.dt[part]))
         posteriors.append(posterior)
     earliest = 0 if targets.given else model.anchored
-    visible, frames = jnp.concatenate(states)[:, earliest:], clips.frames[:, earliest:]
+    moved = jax.tree.map(lambda *parts: jnp.concatenate(parts), *states)
+    visible, frames = jax.vmap(jax.vmap(model.visible))(moved)[:, earliest:], clips.frames[:, earliest:]
     count = length - earliest
     if 0 < targets.rendered < count:
         # A key of its own: halves use the number of a frame of the window.
@@ -156,11 +168,39 @@ def reconstruct(model: AbstractLatentModel, clips: Clip, key: PRNGKeyArray, targ
     error = mean_in_chunks(squared_error, model.decoder, flat, targets.at_once)
     return Reconstruction(
         squared_error=error,
+        strayed=strayed(model, clips.frames, moved, jax.random.fold_in(key, length + 1)) if consistent else None,
         kl=jnp.mean(jax.vmap(divergence)(posterior)),
         frames=count,
         values=count * height * width * 3,
         statistics=posterior_statistics(posterior) | {"explained": 1.0 - error / jnp.mean(jnp.var(flat[1], axis=0))},
     )
+
+
+def strayed(
+    model: AbstractLatentModel, frames: Float[Array, "B T H W 3"], states: State, key: PRNGKeyArray
+) -> Float[Array, ""]:
+    """Return how far motions are from the states that the encoder sees: |z − μ|² in units of the variance of μ.
+
+    z is the state that a motion has reached at a random place of its window, μ that of the posterior's mean, given the
+    frames there. The targets do not ask for it: a motion may reproduce them with numbers that no frame shows, and leave
+    all that it has seen when the targets end. Means over windows; a smaller latent space is not a smaller distance.
+
+    Args:
+        model: any model of the family.
+        frames: of the windows.
+        states: of all their frames, rolled out.
+        key: of the places.
+    """
+    batch, length = frames.shape[:2]
+
+    def compared(frames: Array, states: State, first: Array) -> tuple[Array, Array]:
+        seen = model.state(model.posterior(jax.lax.dynamic_slice_in_dim(frames, first, model.given)).mean)
+        reached = jax.tree.map(lambda each: each[first + model.anchored], states.coordinates)
+        return ravel_pytree(reached)[0], ravel_pytree(seen.coordinates)[0]
+
+    first = jax.random.randint(key, (batch,), 0, length - model.given + 1)
+    reached, seen = jax.vmap(compared)(frames, states, first)
+    return jnp.mean(jnp.sum((reached - seen) ** 2, axis=1)) / jnp.sum(jnp.var(seen, axis=0))
 
 
 def divergence(posterior: Gaussian) -> Float[Array, ""]:
@@ -191,9 +231,12 @@ def _likelihood(found: Reconstruction) -> Array:
     return found.squared_error + HALF_LOG_PI
 
 
+def _inconsistency(found: Reconstruction, weight: float | None) -> Array | float:
+    return 0.0 if found.strayed is None or weight is None else weight * found.strayed
+
+
 def _terms(found: Reconstruction) -> Terms:
-    return {
-        "log_likelihood": -_likelihood(found),
-        "squared_error": found.squared_error,
-        "kl": found.kl,
-    } | jax.lax.stop_gradient(found.statistics)
+    terms = {"log_likelihood": -_likelihood(found), "squared_error": found.squared_error, "kl": found.kl}
+    if found.strayed is not None:
+        terms["strayed"] = found.strayed
+    return terms | jax.lax.stop_gradient(found.statistics)

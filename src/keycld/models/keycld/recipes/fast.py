@@ -232,6 +232,8 @@ class FastConfig(KeyCLDConfig):
 
         In schema 4 patches were compared for clips alone, by settings of the preset.
         """
+        if version > 4:
+            return settings
         if version == 1:
             settings = {_FLAT.get(name, name): value for name, value in settings.items()}
         weight = settings.get("rigid", 0.0)
