@@ -173,7 +173,8 @@ class PaperSettings(LatentConfig):
 
 @dataclasses.dataclass(frozen=True)
 class FastSettings(LatentConfig):
-    """Our recipe for every model of the family: a small decoder, few rendered frames, horizons that grow."""
+    """Our recipe for every model of the family: a small decoder, few rendered frames, horizons that grow, and motions
+    that stay with the states that the encoder sees."""
 
     beta: float = 0.1
     """Weight of the KL divergence in `elbo`."""
@@ -188,7 +189,7 @@ class FastSettings(LatentConfig):
     """Learning rate of Adam: constant while horizons grow, then annealed along half a cosine."""
     batch: int = 16
     """Windows a step."""
-    steps: int = 10_000
+    steps: int = 2_000
     """Optimiser steps of all stages together."""
     horizons: tuple[int, ...] = (8, 24)
     """Frames that the first stages predict; the last stage predicts all targets."""

@@ -43,5 +43,5 @@ class FastAR(RecurrentConfig):
     """Learning rate of Adam."""
     batch: int = 16
     """Windows a step."""
-    steps: int = 10_000
+    steps: int = 2_000
     """Optimiser steps."""
