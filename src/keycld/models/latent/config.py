@@ -78,7 +78,7 @@ class LatentConfig(ModelConfig):
         if self.latent < 2 or self.latent % 2:
             raise KeycldError(f"setting latent is an even number of at least 2, not {self.latent}.")
         if self.regime == "given" and self.consistency:
-            raise KeycldError("regime given has no frames after the given ones, so setting consistency is 0 with it.")
+            raise KeycldError("regime given has no frames beyond the given ones to compare motions at: set consistency to 0.")
         if self.regime != "forward" and not self.REVERSIBLE:
             raise KeycldError(f"model {self.model} cannot run backward, so its regime is forward, not {self.regime}.")
         if self.both_ways and (self.given % 2 == 0 or self.batch < 2):
