@@ -78,7 +78,7 @@ class LatentConfig(ModelConfig):
         if self.latent < 2 or self.latent % 2:
             raise KeycldError(f"setting latent is an even number of at least 2, not {self.latent}.")
         if self.regime == "given" and self.consistency:
-            raise KeycldError("regime given has no frames beyond the given ones to compare motions at: set consistency to 0.")
+            raise KeycldError("regime given has no frames beyond the given ones to compare: set consistency to 0.")
         if self.regime != "forward" and not self.REVERSIBLE:
             raise KeycldError(f"model {self.model} cannot run backward, so its regime is forward, not {self.regime}.")
         if self.both_ways and (self.given % 2 == 0 or self.batch < 2):
@@ -173,8 +173,7 @@ class PaperSettings(LatentConfig):
 
 @dataclasses.dataclass(frozen=True)
 class FastSettings(LatentConfig):
-    """Our recipe for every model of the family: a small decoder, few rendered frames, horizons that grow, and motions
-    that stay with the states that the encoder sees."""
+    """Our recipe for every model of the family: a small decoder, few rendered frames, growing horizons, consistency."""
 
     beta: float = 0.1
     """Weight of the KL divergence in `elbo`."""
