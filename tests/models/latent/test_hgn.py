@@ -147,6 +147,7 @@ def test_frames_of_another_size_are_refused(lively):
         ({"latent": 5}, "latent is an even number"),
         ({"regime": "forward_backward", "given": 4}, "odd number of given frames"),
         ({"regime": "given", "consistency": 0.001}, "no frames beyond the given ones to compare"),
+        ({"consistency": 0.001, "batch": 1}, "set batch to 2 or more, or consistency to 0"),
         ({"regime": "forward_backward", "batch": 1}, "batch of 2 or more"),
         ({"batch": 0}, "batch is at least 1"),
     ],
