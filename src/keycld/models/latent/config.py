@@ -80,7 +80,7 @@ class LatentConfig(ModelConfig):
         if self.regime == "given" and self.consistency:
             raise KeycldError("regime given has no frames beyond the given ones to compare: set consistency to 0.")
         if self.consistency and self.batch < 2:
-            raise KeycldError("one window has no variance to compare with: set batch to 2 or more, or consistency to 0.")
+            raise KeycldError("one window has no variance: set batch to 2 or more, or consistency to 0.")
         if self.regime != "forward" and not self.REVERSIBLE:
             raise KeycldError(f"model {self.model} cannot run backward, so its regime is forward, not {self.regime}.")
         if self.both_ways and (self.given % 2 == 0 or self.batch < 2):
