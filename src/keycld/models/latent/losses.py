@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.data import Clip
-from keycld.mechanics import State
+from keycld.mechanics import Scalar, State
 from keycld.models.base import Gaussian
 from keycld.models.latent.model import AbstractLatentModel
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Terms
@@ -231,7 +231,7 @@ def _likelihood(found: Reconstruction) -> Array:
     return found.squared_error + HALF_LOG_PI
 
 
-def _inconsistency(found: Reconstruction, weight: float | None) -> Array | float:
+def _inconsistency(found: Reconstruction, weight: Scalar | None) -> Scalar:
     return 0.0 if found.strayed is None or weight is None else weight * found.strayed
 
 
