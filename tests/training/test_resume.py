@@ -222,13 +222,14 @@ def test_a_configuration_of_schema_4_is_migrated(whole, preset):
     old = shutil.copytree(root / "whole", root / f"fourth-{preset}")
     config = json.loads((old / "config.json").read_text())
     settings = config_for("keycld", preset, constraints=config["settings"]["constraints"]).settings()
-    for name in ("patches", "patch"):
+    for name in ("patches", "patch", "spread"):
         del settings["vision"][name]
     of_clips = {"rigid": 1.5, "patch": 0.05} if preset == "clip" else {}
     config |= {"schema_version": 4, "preset": preset, "settings": settings | of_clips}
     (old / "config.json").write_text(json.dumps(config))
     vision = read_config(old).settings["vision"]
     assert (vision["patches"], vision["patch"]) == (([1.5, 1.5], 0.05) if preset == "clip" else ([0.0, 0.0], 0.06))
+    assert vision["spread"] == 0.1
 
 
 def test_a_latent_model_of_schema_5_was_not_compared_with_its_encoder():
@@ -237,6 +238,7 @@ def test_a_latent_model_of_schema_5_was_not_compared_with_its_encoder():
     old = {name: value for name, value in config.settings().items() if name != "consistency"}
     assert config.consistency > 0
     assert config.changed(config.migrated(old, 5)).consistency == 0
+    assert config.migrated(config.settings(), 6) == config.settings()
 
 
 def test_a_model_that_grew_is_resumed_and_loaded(whole, monkeypatch):

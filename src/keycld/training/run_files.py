@@ -15,7 +15,7 @@ from keycld._files import read_text, write_text, writing_error
 from keycld._records import checked, read_json
 from keycld.models import ModelConfig, Scene, config_for
 
-SCHEMA_VERSION = 6
+SCHEMA_VERSION = 7
 
 
 class _Verdict(TypedDict):

@@ -393,6 +393,21 @@ def test_coverage_pulls_a_keypoint_to_what_is_missing():
         assert back * force(jnp.array([[[-0.5, 0.0], [x, 0.0]]]), frames)[0, 1, 0] > 0
 
 
+def test_wide_coverage_pulls_keypoints_that_are_not_the_nearest_too():
+    """Of two keypoints far from a disc that is not rendered, the farther one gets a pull only while s is wide."""
+    grid = image_grid(SCENE.height, SCENE.width, 1)
+    disc = gaussian_maps(jnp.array([[0.7, 0.0]]), grid, 0.1)
+    frames = jnp.repeat(jnp.sum(disc, -1)[None, ..., None], 3, axis=3)
+    model = fast(Constraints(("a", "b"), ()), width=8).build(SCENE, jax.random.key(0))
+    model = eqx.tree_at(lambda m: m.estimator.standardise.deviation, model, jnp.std(frames))
+    x = jnp.array([[[-0.2, 0.0], [0.2, 0.0]]])
+    force = jax.jit(jax.grad(lambda x, width: losses._found(model, x, jnp.zeros_like(frames), frames, width)[0]))
+    far, near = force(x, 0.5)[0, :, 0]
+    assert 0.3 * near < far < near
+    far, near = force(x, 0.1)[0, :, 0]
+    assert near > 0 and far < 1e-3 * near
+
+
 def test_only_free_keypoints_are_held_on_the_middle_of_what_moves(getkey):
     """A constraint says where on its part a keypoint is; where none does, the centre of what moves must."""
     model = fast(Constraints(("bob", "free"), (DistanceToPoint("bob"),)), width=8).build(SCENE, jax.random.key(0))

@@ -18,6 +18,8 @@ from keycld.vision import DenseEstimator, KeypointEstimator, Observation, gaussi
 
 # Least σ of the Gaussians of L_h, cells of a heat map.
 _WIDE = 0.75
+# Width of what a keypoint covers at last, image-plane units.
+_NEAR = 0.1
 
 
 class VisionLoss(AbstractLoss):
@@ -49,14 +51,18 @@ class VisionLoss(AbstractLoss):
             correct position. Before it is found, the end could make the distance constant as well, by errors of up to
             a pixel to either side of its part, and no dynamics moves like that.
         coverage: w_c at t = 0, falling to 0 at t = 1/4, of the gradient of
-            C = mean over frames of −Σ_p e_p log Σ_k b_k(p) − 1/K Σ_k log Σ_p m_p b_k(p),
-            b_k(p) = exp(−|x_p − x_k|²/2s²), s = 0.1, with e the squared error of the rendered pixels and m the squared
-            difference of the frame from the mean frame, both as shares of the mean of Σ m. The first part pulls the
-            nearest keypoint to what the rendered frames lack, as reconstruction alone does not: that never moves a
-            keypoint to a part that it is not near. The second part holds keypoints on what moves: otherwise they may
-            encode the parts from any place. C helps where parts are small and near each other, and harms elsewhere,
-            so it is for some of the candidates.
+            C = mean over frames of −(s/σ)² Σ_p e_p log Σ_k b_k(p) − 1/K Σ_k log Σ_p m_p b_k(p),
+            b_k(p) = exp(−|x_p − x_k|²/2s²), with e the squared error of the rendered pixels and m the squared
+            difference of the frame from the mean frame, both as shares of the mean of Σ m. The first part pulls
+            keypoints to what the rendered frames lack, as reconstruction alone does not: that never moves a keypoint to
+            a part that it is not near. The second part holds keypoints on what moves: otherwise they may encode the
+            parts from any place. s falls by equal factors from `spread` to σ = 0.1 at t = 1/5.
+            C helps where parts are small and near each other, and harms elsewhere, so it is for some of the candidates.
             The value of L does not contain it, so that candidates with and without can be compared.
+        spread: s at t = 0, image-plane units. While it is wide, all keypoints share in a part that is missing. With 0.1
+            the nearest one takes all: in an animation of a double pendulum it went to the elbow, while the other one
+            stayed at the pivot, near which it had begun, and told by less than a pixel where the tip is. With 0.5 both
+            found their parts. On a four-bar linkage 0.1 does better (`results/watched-clips.json`, `animations`).
         centre: weight at t = 0, falling to 0 at t = 1, of the gradient of the second part alone, for free keypoints, on
             which no constraint acts. Nothing else says where on its part a free keypoint is, and forces act between
             centres: no central force explained two keypoints that were each a pixel off theirs, to opposite sides
@@ -78,6 +84,7 @@ class VisionLoss(AbstractLoss):
     coupling: float = 10.0
     joints: float = 0.85
     coverage: float = 0.0
+    spread: float = 0.1
     centre: float = 1.0
     patches: tuple[float, float] = (2.0, 0.0)
     patch: float = 0.06
@@ -113,10 +120,12 @@ class VisionLoss(AbstractLoss):
             "constraint": jnp.sum(uneven),
             "patches": -shared_patches(model, observed.keypoints, frames, self.patch),
         }
-        covered, found = _found(model, observed.keypoints, rendered, frames)
+        width = _NEAR * (self.spread / _NEAR) ** jnp.maximum(0.0, 1 - 5 * done)
+        covered, held = _found(model, observed.keypoints, rendered, frames, width)
+        _, found = _found(model, observed.keypoints, rendered, frames)
         free = jnp.all(_slopes(model, x) == 0, axis=(0, 1))
         free = jnp.ones_like(free) if self.free else free
-        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(covered + jnp.mean(found))
+        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(covered + jnp.mean(held))
         pull = pull - self.centre * (1 - done) * jnp.sum(jnp.where(free, found, 0.0))
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
@@ -371,7 +380,7 @@ def unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:
 
 
 def _found(
-    model: AbstractKeypointModel, keypoints: Array, rendered: Array, frames: Array, scale: float = 0.1
+    model: AbstractKeypointModel, keypoints: Array, rendered: Array, frames: Array, width: Array | float = _NEAR
 ) -> tuple[Array, Array]:
     """Return how far keypoints `[batch, K, 2]` cover what the rendered frames lack, and each what moves, for C."""
     assert isinstance(model.estimator, (KeypointEstimator, DenseEstimator)) and model.estimator.standardise is not None
@@ -379,9 +388,10 @@ def _found(
     pixels = jnp.stack([frames - rendered, frames - mean[None]]) / (deviation * jnp.sqrt(frames[0].size) + 1e-6)
     missing, moving = jax.lax.stop_gradient(jnp.sum(pixels**2, axis=-1))
     grid = image_grid(frames.shape[1], frames.shape[2], 1)
-    near = -jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1) / (2 * scale**2)
+    apart = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
+    near = -apart / (2 * width**2)
     found = jnp.log(jnp.sum(moving[..., None] * jnp.exp(near), axis=(1, 2)) + 1e-4)
-    covered = jnp.sum(missing * jax.nn.logsumexp(near, axis=-1), axis=(1, 2))
+    covered = (width / _NEAR) ** 2 * jnp.sum(missing * jax.nn.logsumexp(near, axis=-1), axis=(1, 2))
     return jnp.mean(covered), jnp.mean(found, axis=0)
 
 

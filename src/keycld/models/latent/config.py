@@ -90,8 +90,8 @@ class LatentConfig(ModelConfig):
             )
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return settings of schema 5, in which motions were not compared with the encoder."""
-        return {**settings, "consistency": 0.0}
+        """Return settings of schema 5 and earlier, in which motions were not compared with the encoder."""
+        return settings if version > 5 else {**settings, "consistency": 0.0}
 
     @property
     def both_ways(self) -> bool:

@@ -36,7 +36,7 @@ class ClipConfig(FastConfig):
     """Share of the clips that contain the first frames of a trajectory."""
     worth: float = 0.05
     """Share by which the cost of the fit must rise without a force for it to stay."""
-    vision: VisionStage = VisionStage(steps=800, patches=(2.0, 2.0))
+    vision: VisionStage = VisionStage(steps=800, spread=0.5, patches=(2.0, 2.0))
     """First stage."""
     joint: JointStage = JointStage(steps=0)
     """Third stage."""
@@ -65,8 +65,9 @@ class ClipConfig(FastConfig):
 
         vision, *others = super().stages(scene)
         assert vision.alternative is not None
-        # All candidates are pulled to what the rendered frames lack.
-        vision = dataclasses.replace(vision, loss=vision.alternative, alternative=None, prepare=measure_background)
+        # All candidates are pulled to what the rendered frames lack: half of them by the nearest keypoint alone.
+        narrow = dataclasses.replace(vision.alternative, spread=VisionStage.spread)
+        vision = dataclasses.replace(vision, loss=narrow, prepare=measure_background)
         found = [vision, *(stage for stage in others if stage.name != "joint" or stage.steps)]
         if self.model != "node2":
             again = functools.partial(fit_again, tried=self.tried)

@@ -46,6 +46,8 @@ class VisionStage:
     coverage: float = 10.0
     """Initial weight, in every second trial, of the term that pulls keypoints to what the rendered frames lack; zero
     from a quarter of the steps on."""
+    spread: float = 0.1
+    """Width that a keypoint covers at first in these trials, image-plane units; 0.1 from a fifth of the steps on."""
     patches: tuple[float, float] = (2.0, 0.0)
     """Weight of what patches around keypoints share in all frames, at 0.35 of the steps and from 0.7 on."""
     patch: float = 0.06
@@ -228,10 +230,12 @@ class FastConfig(KeyCLDConfig):
         return Tried() if self.terms is None else None
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return settings of schema 1, which were flat, 2, which had two joint stages, 3, without terms, and 4.
+        """Return settings of schema 1, which were flat, 2, which had two joint stages, 3, without terms, and 4 to 6.
 
-        In schema 4 patches were compared for clips alone, by settings of the preset.
+        In schema 4 patches were compared for clips alone, by settings of the preset. Before 7 keypoints covered the
+        same width from the first step.
         """
+        settings = {**settings, "vision": {"spread": 0.1, **settings.get("vision", {})}}
         if version > 4:
             return settings
         if version == 1:
