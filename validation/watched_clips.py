@@ -2,9 +2,10 @@
 
 python validation/watched_clips.py OUT [--only NAME ...] [--table FILE.json]     results/watched-clips.json
 
-Each clip is drawn (`drawn_clips.py`), watched through the command line with the mechanism told and nothing else, and
-its physics.json compared with the truth. Clips that are done are not watched again. Periods should be within 1 %,
-viscous rates within 10 %, and the intervals of one and two standard errors hold 68 and 95 % of all constants.
+Each clip is drawn (`drawn_clips.py`) or plotted (`plotted_clips.py`), watched through the command line with the
+mechanism told and nothing else, and its physics.json compared with the truth. Clips that are done are not watched
+again. Periods should be within 1 %, viscous rates within 10 %, and the intervals of one and two standard errors hold
+68 and 95 % of all constants.
 """
 
 import argparse
@@ -16,7 +17,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from validation.drawn_clips import KINDS, Camera, drawn
+from validation.drawn_clips import KINDS, Camera, Drawn, drawn
+from validation.plotted_clips import PLOTTED
 
 from keycld.drawing import save_movie
 
@@ -48,6 +50,9 @@ CLIPS = (
     Clip("spring_cart", 301, Camera(1800, 30.0)),
     Clip("hanging_cart_pole", 300, Camera()),
     Clip("short_swing", 300, Camera()),
+    Clip("plotted_discs", 300, Camera()),
+    Clip("plotted_line", 300, Camera()),
+    Clip("plotted_trace", 300, Camera()),
 )
 KEYCLD = Path(sys.executable).with_name("keycld")
 LIMITS = {"period": 0.01, "viscous_rate": 0.1}
@@ -56,12 +61,12 @@ LIMITS = {"period": 0.01, "viscous_rate": 0.1}
 
 def watched(clip: Clip, out: Path) -> dict[str, Any]:
     """Return what `keycld watch` found in a clip, next to the truth."""
-    found = drawn(clip.kind, clip.seed, clip.camera)
+    found, mechanism = _made(clip)
     run, video = out / clip.name, out / f"{clip.name}.mp4"
     physics, spent = run / "evaluation" / "physics.json", out / f"{clip.name}.json"
     if not spent.exists():
         save_movie(video, found.frames, fps=clip.camera.fps, scale=1)
-        command = ["watch", str(video), "--mechanism", KINDS[clip.kind][1], "--out", str(run)]
+        command = ["watch", str(video), "--mechanism", mechanism, "--out", str(run)]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         with (out / f"{clip.name}.log").open("w") as log:
             ended = subprocess.run([KEYCLD, *command], stdout=log, stderr=subprocess.STDOUT)
@@ -78,6 +83,14 @@ def watched(clip: Clip, out: Path) -> dict[str, Any]:
         "prediction": measured["prediction"]["error"],
         "constants": {name: compared(name, truth, measured["constants"]) for name, truth in found.truth.items()},
     }
+
+
+def _made(clip: Clip) -> tuple[Drawn, str]:
+    """Return a clip with its truth, and the mechanism that it shows."""
+    if clip.kind in PLOTTED:
+        plot, mechanism = PLOTTED[clip.kind]
+        return plot(np.random.default_rng(clip.seed), clip.camera), mechanism
+    return drawn(clip.kind, clip.seed, clip.camera), KINDS[clip.kind][1]
 
 
 def compared(name: str, truth: float, constants: dict[str, Any]) -> dict[str, Any]:
