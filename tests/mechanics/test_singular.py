@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, OnLine, is_singular, turns_within
+from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, OnLine, is_singular, turns_within, variation
 from keycld.systems import AbstractMechanism, Conditions, get, names
 
 RODS = (DistanceToPoint("a"), DistanceToPoint("b"), FixedDistance("a", "b"))
@@ -70,3 +70,17 @@ def test_two_keypoints_on_one_part_turn_within_an_error_of_each():
     rods = Constraints(("a", "b"), (DistanceToPoint("a"), FixedDistance("a", "b")))
     assert turns_within(rods, x, 0.03) == [1]
     assert turns_within(rods, x, 0.002) == []
+
+
+@pytest.mark.parametrize("squared", [True, False])
+def test_a_distance_varies_by_a_share_of_itself(squared):
+    """Of three recordings with radii of their own; one of them is lost. A line keeps no distance that could vary."""
+    angle = np.linspace(0, 20, 200)
+    radius = np.array([[0.2], [0.3], [0.4]]) * (1 + 0.05 * np.sqrt(2) * np.sin(7 * angle))
+    radius[2, ::3] = 0.1
+    bob = np.stack([0.1 + radius * np.cos(angle), 0.2 + radius * np.sin(angle)], axis=-1)
+    end = bob + 0.5 * np.array([1.0, 0.0])
+    x = np.concatenate([np.stack([radius, 0 * radius], -1), bob, end], axis=-1)
+    items = (OnLine("cart"), DistanceToPoint("bob", (0.1, 0.2)), FixedDistance("bob", "end"))
+    shares = variation(Constraints(("cart", "bob", "end"), items, squared=squared), jnp.asarray(x))
+    np.testing.assert_allclose(shares, [0, 0.05, 0], atol=0.002)

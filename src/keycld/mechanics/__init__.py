@@ -107,6 +107,7 @@ from keycld.mechanics.second_order import SecondOrderNetwork as SecondOrderNetwo
 from keycld.mechanics.shake import Shake as Shake
 from keycld.mechanics.singular import is_singular as is_singular
 from keycld.mechanics.singular import turns_within as turns_within
+from keycld.mechanics.singular import variation as variation
 from keycld.mechanics.state import AbstractDynamics as AbstractDynamics
 from keycld.mechanics.state import AbstractField as AbstractField
 from keycld.mechanics.state import Motion as Motion
@@ -228,6 +229,7 @@ __all__ = [
     "truncated_normal",
     "turns_within",
     "two_point_masses",
+    "variation",
     "with_kinds",
     "with_terms",
 ]

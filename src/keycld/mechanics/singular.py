@@ -48,6 +48,24 @@ def turns_within(phi: AbstractConstraint, x: Float[Array, "M dim"], step: float)
     return np.flatnonzero(np.mean(step * bends > length, axis=0) > 0.5).tolist()
 
 
+def variation(phi: AbstractConstraint, x: Float[Array, "N T dim"]) -> Float[np.ndarray, "n"]:
+    """Return by which share of itself a distance that each constraint keeps constant varies; 0 for straight lines.
+
+    For each of N recordings the root of the mean over T frames of ((Φ − mean Φ) |D²Φ| / |DΦ|²)², and of these the
+    median. For Φ = |x − p|² and for Φ = |x − p| alike this is the deviation of r = |x − p| divided by r.
+
+    Args:
+        phi: Φ, n values.
+        x: positions, image-plane units.
+    """
+    flat = x.reshape(-1, x.shape[-1])
+    values = np.asarray(jax.vmap(phi)(flat), float).reshape(*x.shape[:2], -1)
+    slopes, bends = (np.asarray(each, float) for each in _derivatives(phi, flat))
+    bent = np.linalg.norm(bends, ord=2, axis=(-2, -1)) / np.maximum(np.sum(slopes**2, axis=-1), 1e-12)
+    shares = (values - values.mean(axis=1, keepdims=True)) * bent.reshape(values.shape)
+    return np.median(np.sqrt(np.mean(shares**2, axis=1)), axis=0)
+
+
 @eqx.filter_jit
 def _derivatives(phi: AbstractConstraint, x: Array) -> tuple[Array, Array]:
     """Return DΦ `[M, n, dim]` and D²Φ `[M, n, dim, dim]`."""

@@ -109,18 +109,37 @@ def test_a_slow_motion_is_judged_on_longer_stretches(monkeypatch, recordings):
 
 
 @pytest.mark.parametrize(
-    ("radius", "worst", "failure"), [(0.5, 0.1, "keypoint 1 is within a pixel"), (0.5, 1e9, None), (2, 0.1, None)]
+    ("radius", "noise", "worst", "failure"),
+    [
+        (0.5, 0.01, 0.1, "keypoint 1 is within a pixel"),
+        (0.5, 0.01, 1e9, None),
+        (2, 0.01, 0.1, None),
+        (2, 0.16, 0.1, None),
+        (2, 0.3, 0.1, "constraint 1 does not hold: a distance that it keeps constant varies by"),
+        (2, 0.3, 1e9, None),
+    ],
 )
-def test_a_keypoint_on_its_pivot_fails(monkeypatch, recordings, radius, worst, failure):
-    """Its constraint holds and it hardly moves, so any law is near. A training of a few steps may pass all."""
+def test_a_keypoint_on_its_pivot_or_at_no_constant_distance_from_it_fails(
+    monkeypatch, recordings, radius, noise, worst, failure
+):
+    """It hardly moves, so any law is near. A training of a few steps may pass all."""
     angle, length = 0.5 * TIME + np.arange(6)[:, None], radius * PIXEL
-    x = jnp.asarray(observed(length * np.sin(angle), -length * np.cos(angle), 0.01 * PIXEL), jnp.float32)
+    x = jnp.asarray(observed(length * np.sin(angle), -length * np.cos(angle), noise * PIXEL), jnp.float32)
     monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: (x, jnp.zeros((6, 0))))
     rod = Constraints(("bob",), (DistanceToPoint("bob"),))
     model = eqx.tree_at(lambda m: m.dynamics.law.constraint_function, cart(0.0), rod)
     model = eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.full(1, length**2))
     failed = judge_dynamics(model, recordings, {}, worst=worst)
     assert failed is failure or failure in failed
+
+
+@pytest.mark.parametrize(("size", "other", "failure"), [(0.3, 9.0, "keypoint 2 moves by 0.30"), (0.3, 0.5, None)])
+def test_a_keypoint_that_stands_still_while_another_moves_fails(size, other, failure):
+    """A clock in the picture is not a part; a mechanism that hardly moves as a whole may be one."""
+    clock = size * np.stack([np.cos(3 * TIME), np.sin(3 * TIME)], axis=-1)
+    part = other * np.stack([np.sin(4 * TIME), 0 * TIME], axis=-1)
+    found = judge._still(jnp.asarray(PIXEL * np.concatenate([part, clock], axis=-1)[None]), PIXEL)
+    assert found is failure or failure in found
 
 
 def test_errors_of_keypoints_are_recognised_without_a_law():
