@@ -147,8 +147,8 @@ def _still(x: jax.Array, pixel: float) -> str | None:
     if moves[k] > min(_MOVES, _MOVES_OF * moves.max()):
         return None
     return (
-        f"keypoint {k + 1} moves by {moves[k]:.2f} pixels and another by {moves.max():.0f}: it has found something that "
-        "is not its part, such as a clock in the picture. Leave that out (--crop), or try another --seed."
+        f"keypoint {k + 1} moves by {moves[k]:.2f} pixels and another by {moves.max():.0f}: it has found something "
+        "other than its part, such as a clock in the picture. Leave that out (--crop), or try another --seed."
     )
 
 
