@@ -18,7 +18,7 @@ def demo(
 ) -> None:
     """Run everything on one system: data, training, evaluation, control, report.
 
-    The pendulum takes about five minutes on two CPU cores.
+    The pendulum takes eight to nine minutes on two CPU cores, five to six of them for training.
 
     Args:
         system: pendulum, cartpole or acrobot.
