@@ -27,7 +27,7 @@ def test_make_check_show(tmp_path, monkeypatch, capsys):
     ("arguments", "words"),
     [
         (["toy/mass_spring", "--control", "none"], "no motors"),
-        (["toy/mass_spring", "--validation", "3"], "unknown split of toy/mass_spring 'validation'"),
+        (["toy/mass_spring", "--validation", "3"], "unknown split 'validation' of toy/mass_spring"),
         (["toy/mass_sprung"], "did you mean 'toy/mass_spring'"),
         (["cartpole", "--size", "full"], "one size"),
     ],

@@ -262,7 +262,7 @@ def test_the_card_and_its_figures(folder):
 def test_what_does_not_go_together(tmp_path):
     with pytest.raises(KeycldError, match="has no motors"):
         make_data(NAME, tmp_path / "a", control="none")
-    with pytest.raises(KeycldError, match="unknown protocol of games/matching_pennies 'priors-paper'"):
+    with pytest.raises(KeycldError, match="unknown protocol 'priors-paper' of games/matching_pennies"):
         make_data("games/matching_pennies", tmp_path / "a", protocol="priors-paper")
     with pytest.raises(KeycldError, match="pictures are stored"):
         make_data("room/circle", tmp_path / "a", store="states")

@@ -105,7 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(__version__)
             return 0
         if words and not words[0].startswith("-") and words[0] not in verbs:
-            raise unknown("verb", words[0], verbs)
+            raise unknown("verb", words[0], verbs, listed="`keycld --help`")
         if words[:1] == ["train"]:
             verbs = {**verbs, "train": train.with_settings(words)}
         tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=description, args=words or ["--help"])

@@ -65,7 +65,7 @@ def sampled_splits(
     for given, numbers, least, what in ((runs, counts, 1, "trajectories"), (frames, lengths, 3, "frames")):
         for name, number in (given or {}).items():
             if name not in numbers:
-                raise unknown(f"split of {system.name}", name, numbers)
+                raise unknown("split", name, numbers, of=system.name)
             if number < max(least, 2 if name == "train" and what == "trajectories" else 0):
                 raise KeycldError(f"{name} needs at least {max(least, 2)} {what}, not {number}.")
             numbers[name] = number
@@ -113,7 +113,7 @@ def sampled_recipe(
     """
     protocol = protocol or system.protocols[0]
     if protocol not in system.protocols:
-        raise unknown(f"protocol of {system.name}", protocol, system.protocols)
+        raise unknown("protocol", protocol, system.protocols, of=system.name)
     rendered = isinstance(system, AbstractRenderedSystem)
     if store == "states" and not rendered:
         raise KeycldError(f"{system.name} is rendered by MuJoCo, so its pictures are stored: leave out --store states.")
