@@ -22,6 +22,7 @@ from keycld import KeycldError
 from keycld._files import alive, checked_name, read_bytes, write_text
 from keycld._records import Name, NumberText, Unexpected, checked, read_arrays
 from keycld.cli.main import main
+from keycld.cli.start import after_an_end
 from keycld.data import check, import_video, read, write
 from keycld.data.format.hdf5 import create_file
 from keycld.drawing import load_image, save_image, save_movie
@@ -396,8 +397,15 @@ def test_a_signal_ends_the_command_without_a_traceback(tmp_path, number, code, p
     time.sleep(pause)
     process.send_signal(number)
     _, said = process.communicate(timeout=20)
-    assert "Traceback" not in said
+    assert "Traceback" not in said and "ed; the same command continues." in said
     assert process.returncode == code
+
+
+def test_only_verbs_that_resume_promise_it_after_a_signal():
+    for words in (["train", "x"], ["--debug", "bench", "run", "keycld"], ["data", "make", "pendulum"]):
+        assert after_an_end(words) == "the same command continues"
+    for words in (["predict", "pendulum", "--data", "train"], ["data", "import", "a.mp4"], ["bench", "table"], []):
+        assert after_an_end(words) == "run it again"
 
 
 def _handles(pid, number):

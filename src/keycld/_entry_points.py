@@ -19,6 +19,8 @@ def load_entry_points(group: str, what: str) -> None:
         try:
             point.load()
         except Exception as error:
+            # A sentence of ours has a fix of its own, after a colon.
+            reason = str(error).partition(": ")[0] if isinstance(error, KeycldError) else error
             raise KeycldError(
-                f"the {what} '{point.name}' of {point.value} cannot be loaded ({error}): fix or uninstall it."
+                f"the {what} '{point.name}' of {point.value} cannot be loaded ({reason}): fix or uninstall it."
             ) from error

@@ -4,6 +4,8 @@ import difflib
 import math
 from collections.abc import Iterable
 
+_MOST_NAMED, _FEW = 8, 3
+
 
 class KeycldError(ValueError):
     """A mistake that the user can fix; the message is one sentence with the rule, the value found and the fix.
@@ -12,18 +14,26 @@ class KeycldError(ValueError):
     """
 
 
-def unknown(kind: str, name: str, choices: Iterable[str]) -> KeycldError:
-    """Return the error for an unknown name; it proposes the nearest valid one.
+def unknown(kind: str, name: str, choices: Iterable[str], *, of: str = "", listed: str = "") -> KeycldError:
+    """Return the error for an unknown name; it proposes the nearest valid one, or says which there are.
 
     Args:
         kind: what the name should name, such as "model".
         name: the unknown name.
-        choices: the valid names.
+        choices: the valid names. Those with dots, such as settings in groups, are also known by their last part.
+        of: what the name should belong to, such as "preset 'fast'".
+        listed: the command or page that lists all names, of which the sentence has a few where there are many.
     """
     names = sorted(choices)
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    hint = f"did you mean '{near[0]}'? " if near else ""
-    return KeycldError(f"unknown {kind} '{name}': {hint}choose from {', '.join(names)}.")
+    what = f"unknown {kind} '{name}'" + (f" of {of}" if of else "")
+    if near := difflib.get_close_matches(name, names, n=1, cutoff=0.5):
+        return KeycldError(f"{what}: did you mean '{near[0]}'?")
+    last = {choice.rpartition(".")[2]: choice for choice in reversed(names)}
+    if near := difflib.get_close_matches(name.rpartition(".")[2], last, n=1, cutoff=0.8):
+        return KeycldError(f"{what}: did you mean '{last[near[0]]}'?")
+    if listed and len(names) > _MOST_NAMED:
+        return KeycldError(f"{what}: choose from {', '.join(names[:_FEW])}, … (all {len(names)}: {listed}).")
+    return KeycldError(f"{what}: choose from {', '.join(names)}.")
 
 
 def check_seed(seed: int) -> None:

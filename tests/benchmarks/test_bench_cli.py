@@ -96,6 +96,7 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
         (["run", "keycld", "--set", "joint_step=2"], ["did you mean 'joint.steps'"]),
         (["status", "keycld", "--only", "pendulum-fx-0"], ["did you mean 'pendulum-fc-0'"]),
         (["stauts", "keycld"], ["did you mean 'status'"]),
+        (["table", "keycld", "--results", "nodir"], ["there is no folder nodir", "`keycld bench run keycld`"]),
     ],
 )
 def test_mistakes_get_one_sentence_and_code_two(monkeypatch, capsys, tmp_path, arguments, words):

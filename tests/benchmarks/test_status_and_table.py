@@ -132,6 +132,7 @@ def test_the_table(place):
         write_json(path, {**read_json(path, Result), "commit_scored": commit})
     origin = provenance([each for each in chosen if each.data.system == "pendulum"], place)
     assert origin.endswith(": KeyCLD 1234567 (1), abcdef0 (2)")
+    assert provenance(chosen, Place(place.root, place.root / "empty")) == ""
     assert "| KeyCLD | 0.900 ± 0.100 (3) | 0.500 (1) |" in as_markdown(table)
     rows = list(csv.DictReader(io.StringIO(as_csv(tuple(found.values())))))
     (cell,) = (row for row in rows if (row["table"], row["row"], row["column"]) == ("test@50", "KeyCLD", "pendulum"))

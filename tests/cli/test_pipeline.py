@@ -207,11 +207,26 @@ def test_bad_data_gets_one_sentence_and_code_two(here, tmp_path, change, words):
         (["train", "mine", "--constraints", "none.toml"], ["none.toml"]),
         (["train", "mine", "--out", "file/run", *SETTINGS], ["cannot write"]),
         (["train"], ["name what to train on"]),
+        (["train", "mine", "--checkpoint-seconds", "-1"], ["--checkpoint-seconds is a number of at least 0, not -1."]),
+        (["train", "mine", "--checkpoint-seconds", "nan"], ["at least 0, not nan."]),
+        (["train", "mine", "--log-every", "0"], ["--log-every is a number of steps, at least 1, not 0."]),
+        (["train", "mine", "--config", "nope.json"], ["there is no file nope.json: check the path."]),
+        (["train", "mine", "--set", "steps=2"], ["are flags: write --steps 2 in place of --set steps=2."]),
+        (["train", "mine", "--set", "joint.horizons=8,16"], ["write --joint.horizons 8 16 in"]),
+        (["train", "mine", "--set", "coupled_masses=false"], ["write --no-coupled-masses in"]),
+        (
+            ["train", "mine", "--model", "hgn", "--mechanism", "pendulum"],
+            ["the model hgn takes no constraints: leave out --mechanism"],
+        ),
+        (["train", "mine", "--coordinator", "foo", "--processes", "2"], ["--coordinator is ADDRESS:PORT", "'foo'"]),
+        (["train", "mine", "--coordinator", "foo:1", "--processes", "2"], ["--coordinator foo:1 needs --processes"]),
+        (["demo", "zoo/four_bar"], ["'zoo/four_bar' of the demo: choose from acrobot, cartpole, pendulum."]),
         (["train", "mine", "--seed", "-1"], ["from 0 to", "not -1"]),
         (["train", "--config", "whole/config.json", "--seed", "3", "--out", "whole"], ["seed was 0, now 3"]),
         (["trian", "mine"], ["did you mean 'train'"]),
         (["eval", "nowhere"], ["nowhere", "run folder"]),
         (["predict", "whole", "--data", "none.h5", "--out", "p.h5"], ["none.h5"]),
+        (["predict", "whole", "--data", "mine/test.h5", "--out", "p.h5", "--given", "0"], ["--given is at least 2"]),
         (["data", "make", "cartpol"], ["did you mean 'cartpole'"]),
         (["data", "check", "nothing"], ["nothing"]),
     ],
@@ -222,6 +237,13 @@ def test_mistakes_get_one_sentence_and_code_two(here, place, arguments, words):
     assert code == 2, message
     last = message.strip().splitlines()[-1]
     assert last.startswith("keycld: ") and all(word in last for word in words), message
+
+
+def test_help_lists_the_options_of_the_command_itself(capsys):
+    with pytest.raises(SystemExit):
+        main(["--help"])
+    said = capsys.readouterr().out
+    assert all(f"\n  {option} " in said for option in ("--debug", "--no-compile-cache", "-V, --version"))
 
 
 def test_an_unknown_option_is_code_two_too(here, place):

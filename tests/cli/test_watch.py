@@ -247,8 +247,8 @@ def _texture():
             "no length pivot-tip is constant in this mechanism: choose from pivot",
         ),
         (["--gravity", "-9.8"], "above 0"),
-        (["--size", "20"], "size must be a multiple of 8"),
-        (["--crop", "0", "0", "50", "50"], "does not lie inside"),
+        (["--size", "20"], "--size is a positive multiple of 8, not 20"),
+        (["--crop", "0", "0", "50", "50"], "--crop 0 0 50 50 does not lie inside"),
     ],
 )
 def test_wrong_options(tmp_path, capsys, more, sentence):

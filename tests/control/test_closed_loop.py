@@ -139,8 +139,10 @@ def test_bad_pictures_degrade_and_do_not_break(model):
     found = swing_up(model, get("pendulum"), EPSILON, None, config, workers=1)
     assert 5 < found.scores["frames_not_arrived"] < 40
     assert np.isfinite(found.arrays["input"]).all()
-    with pytest.raises(KeycldError, match="shares from 0 to 1"):
+    with pytest.raises(KeycldError, match="--noise is a share from 0 to 1, not -0.1"):
         Disturbance(noise=-0.1)
+    with pytest.raises(KeycldError, match="--drop is a probability of at least 0 and below 1, not nan"):
+        Disturbance(dropped=float("nan"))
 
 
 def test_a_frame_with_nan_counts_as_not_arrived(agent):
@@ -203,8 +205,8 @@ def test_a_goal_picture_of_another_pose(model):
 def test_configs_out_of_range():
     for wrong, words in (
         ({"estimator": "predict"}, "did you mean 'predict-correct'"),
-        ({"trials": 0}, "one trial"),
-        ({"seconds": 0.0}, "0.1 s"),
+        ({"trials": 0}, "--trials is at least 1, not 0"),
+        ({"seconds": 0.0}, "--seconds is at least 0.1, not 0"),
     ):
         with pytest.raises(KeycldError, match=words):
             ControlConfig(**wrong)

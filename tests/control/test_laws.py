@@ -78,7 +78,7 @@ def test_every_law_has_a_file_in_the_folder():
 def test_wrong_names_and_settings():
     for name, settings, words in (
         ("shapin", {}, "unknown control law 'shapin': did you mean 'shaping'"),
-        ("shaping", {"kq": 1.0}, "unknown setting of the control law 'shaping' 'kq': did you mean"),
+        ("shaping", {"kq": 1.0}, "unknown setting 'kq' of the control law 'shaping': did you mean"),
         ("shaping", {"kp": "high"}, "kp of the control law 'shaping' is a number, not 'high'"),
         ("shaping", {"kp": 0.0}, "kp is a positive number, not 0.0"),
         ("zero", {"kp": 1.0}, "'zero' has no settings: leave out kp"),

@@ -84,7 +84,7 @@ SPOILED = {
     "dt": (attribute("dt", 0.05), "but the attribute 'dt' is 0.05 s"),
     "uneven time": (put("time", 4, 0.56), "'/time' steps by 0.16 s from frame 3 to 4"),
     "no dt": (attribute("dt", None), "root attribute 'dt' is missing: add it (seconds between frames)"),
-    "negative dt": (attribute("dt", -0.1), "must be a positive number of seconds"),
+    "negative dt": (attribute("dt", -0.1), "must be a positive number of seconds, not -0.1."),
     "text dt": (attribute("dt", "fast"), "must be a positive number of seconds"),
     "no system": (attribute("system", None), "root attribute 'system' is missing"),
     "no version": (attribute("schema_version", None), "'schema_version' is missing"),

@@ -76,10 +76,10 @@ def test_constraints_come_along(video, tmp_path):
     ("changes", "words"),
     [
         ({"frames": 50}, "the videos give 2 recordings of 50 frames"),
-        ({"frames": 2}, "at least 3 frames"),
+        ({"frames": 2}, "--frames is at least 3, not 2"),
         ({"fps": 50.0}, "at most the 25 of"),
-        ({"fps": 0.0}, "fps must be above 0"),
-        ({"crop": (0, 0, 40, 30)}, "must be a square"),
+        ({"fps": 0.0}, "--fps is above 0"),
+        ({"crop": (0, 0, 40, 30)}, "--crop is a square, not 40 x 30"),
         ({"crop": (80, 0, 32, 32)}, "does not lie inside the 96 x 64 pixels"),
         ({"size": 60}, "multiple of 8"),
         ({"skip": -1.0}, "skip must be"),

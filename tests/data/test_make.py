@@ -108,7 +108,7 @@ def test_finished_data_are_left_alone(made):
     [
         ({"protocol": "keycld-2024"}, "another protocol and initial_state and input_limit and clip"),
         ({"control": "none"}, "another control:"),
-        ({"runs": RUNS | {"train": 27}}, "another number of runs:"),
+        ({"runs": RUNS | {"train": 27}}, "another number of recordings:"),
         ({"frames": FRAMES | {"test_long": 70}}, "another number of frames:"),
     ],
 )
@@ -155,7 +155,7 @@ def test_a_kill_at_any_moment_costs_one_part(made, tmp_path):
     assert not list(folder.glob("*.h5")) and "unfinished" in check(folder)[-1]
     done = list(folder.glob(".partial/*.h5"))
     assert done and all(check(part) == [] for part in done)
-    with pytest.raises(KeycldError, match="another number of runs"):
+    with pytest.raises(KeycldError, match="another number of recordings"):
         make_data("pendulum", folder, runs=RUNS | {"train": 30}, frames=FRAMES)
     resumed = make_data("pendulum", folder, runs=RUNS, frames=FRAMES, all=True)
     assert 0 < resumed.frames < made[0].frames

@@ -69,9 +69,9 @@ def test_small_training_sets_give_a_tenth_to_validation():
         sampled_splits(get(NAME), runs={"validation": 3})
     with pytest.raises(KeycldError, match="unknown split"):
         sampled_splits(get("toy/two_body"), runs={"test_long": 3})
-    with pytest.raises(KeycldError, match="train needs at least 2 trajectories"):
+    with pytest.raises(KeycldError, match="--train is a number of recordings, at least 2, not 1"):
         sampled_splits(get(NAME), runs={"train": 1})
-    with pytest.raises(KeycldError, match="at least 3 frames"):
+    with pytest.raises(KeycldError, match="test is a number of frames, at least 3, not 2"):
         sampled_splits(get(NAME), frames={"test": 2})
 
 
@@ -262,7 +262,7 @@ def test_the_card_and_its_figures(folder):
 def test_what_does_not_go_together(tmp_path):
     with pytest.raises(KeycldError, match="has no motors"):
         make_data(NAME, tmp_path / "a", control="none")
-    with pytest.raises(KeycldError, match="unknown protocol of games/matching_pennies 'priors-paper'"):
+    with pytest.raises(KeycldError, match="unknown protocol 'priors-paper' of games/matching_pennies"):
         make_data("games/matching_pennies", tmp_path / "a", protocol="priors-paper")
     with pytest.raises(KeycldError, match="pictures are stored"):
         make_data("room/circle", tmp_path / "a", store="states")

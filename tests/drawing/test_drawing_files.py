@@ -8,7 +8,7 @@ import pytest
 
 from keycld import KeycldError
 from keycld._files import replacing
-from keycld.drawing import save_image, save_movie
+from keycld.drawing import load_image, save_image, save_movie
 
 
 def read_mp4(path, height, width):
@@ -71,5 +71,7 @@ def test_mistakes_are_named(tmp_path, frames):
     with pytest.raises(KeycldError, match="at least one frame"):
         save_movie(tmp_path / "a.gif", frames[:0])
     (tmp_path / "file").write_text("")
+    with pytest.raises(KeycldError, match=r"the picture .*/file cannot be read \(it is no PNG or JPEG\): save it"):
+        load_image(tmp_path / "file")
     with pytest.raises(KeycldError, match="choose a folder that you may write to"):
         save_image(tmp_path / "file" / "a.png", frames[0])

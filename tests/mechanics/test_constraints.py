@@ -250,7 +250,7 @@ HEAD = 'keypoints = ["cart", "tip"]\n'
         (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'carf'", "constraint 1: .*did you mean 'cart'"),
         (HEAD + "[[constraint]]\nkind = 'on_line'", "constraint 1: .* needs the entry 'keypoint'"),
         (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 3", "constraint 1: 'keypoint' is a name"),
-        (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'cart'\npoint = 1", "unknown entry of a on_line"),
+        (HEAD + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'cart'\npoint = 1", "unknown entry .point. of a on_line"),
         (
             HEAD
             + "[[constraint]]\nkind = 'on_line'\nkeypoint = 'cart'\n"

@@ -38,7 +38,7 @@ def test_a_name_belongs_to_one_family():
 
 
 def test_unknown_models_and_presets_are_refused_with_the_nearest_name():
-    with pytest.raises(KeycldError, match="unknown preset of model 'keycld' 'fsat'.*did you mean 'fast'"):
+    with pytest.raises(KeycldError, match="unknown preset 'fsat' of model 'keycld': did you mean 'fast'"):
         config_for("keycld", "fsat")
     with pytest.raises(KeycldError, match="unknown model 'keycdl'.*did you mean 'keycld'"):
         config_for("keycdl")

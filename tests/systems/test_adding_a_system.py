@@ -75,11 +75,13 @@ def test_an_installed_package_adds_a_system(tmp_path, monkeypatch, forget):
     monkeypatch.syspath_prepend(tmp_path)
     _import_extensions.cache_clear()
     assert "toy/double_well" in names()
-    (tmp_path / "double_well.py").write_text("import nothing_of_this_name")
-    monkeypatch.delitem(sys.modules, "double_well")
-    _import_extensions.cache_clear()
-    with pytest.raises(keycld.KeycldError, match="the system 'well' of double_well cannot be loaded"):
-        names()
+    unfinished = BLOCKS[2].partition("    def sweeps")[0]
+    for text, reason in (("import nothing_of", "No module named 'nothing_of'"), (unfinished, "the .* lacks sweeps")):
+        (tmp_path / "double_well.py").write_text(text)
+        monkeypatch.delitem(sys.modules, "double_well", raising=False)
+        _import_extensions.cache_clear()
+        with pytest.raises(keycld.KeycldError, match=rf"'well' of double_well cannot be loaded \({reason}\): fix or"):
+            names()
 
 
 def test_a_new_folder_is_found(tmp_path, monkeypatch, forget):

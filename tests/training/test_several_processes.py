@@ -84,8 +84,8 @@ def test_two_processes_give_the_losses_of_one(tmp_path, trained):
 @pytest.mark.parametrize(
     ("coordinator", "processes", "process", "sentence"),
     [
-        ("localhost:1", None, None, "--processes is the number of all processes and --process that of this one"),
-        ("localhost:1", 2, 2, "from 0 to 1, not 2"),
+        ("localhost:1", None, None, "localhost:1 needs --processes, the number of all processes, and --process"),
+        ("localhost:1", 2, 2, "--process is at least 0 and below --processes, not 2 of 2"),
         ("localhost", 2, 1, "--coordinator is ADDRESS:PORT of process 0, or auto, not 'localhost'"),
     ],
 )

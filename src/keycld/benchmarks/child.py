@@ -163,5 +163,5 @@ def _exit_with(parent: int) -> None:
 
 if __name__ == "__main__":
     # `bench run`, which the same interrupt reaches, says so.
-    end_on_signals(quiet=True)
+    end_on_signals()
     sys.exit(main(sys.argv[1:]))

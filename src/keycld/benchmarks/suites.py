@@ -83,10 +83,14 @@ class Suite:
         """
         check_minutes(minutes)
         moving = tuple(dict.fromkeys(data.system for data in self.data))
-        for kind, given, known in (("system", systems, moving), ("model", models, registered())):
+        listed = f"`keycld bench status {self.name}`"
+        for kind, given, known, where in (
+            ("system", systems, moving, listed),
+            ("model", models, registered(), "`keycld models`"),
+        ):
             for name in given:
                 if name not in known:
-                    raise unknown(kind, name, known)
+                    raise unknown(kind, name, known, listed=where)
         found = [
             Experiment(self.name, data, model, preset, seed, self.protocols, dict(settings or {}), minutes)
             for seed in seeds or self.seeds
@@ -111,7 +115,7 @@ class Suite:
             )
         fitting = tuple(experiment for experiment in found if only in experiment.name)
         if not fitting:
-            raise unknown("experiment", only, [experiment.name for experiment in found])
+            raise unknown("experiment", only, [experiment.name for experiment in found], listed=listed)
         return fitting
 
 

@@ -90,7 +90,7 @@ def done_results(experiments: Sequence[Experiment], place: Place) -> list[tuple[
 
 
 def provenance(experiments: Sequence[Experiment], place: Place) -> str:
-    """Return a line that names the commits that scored the results of each model.
+    """Return a line that names the commits that scored the results of each model; it is empty without results.
 
     Results of several commits need not have the same recipe.
     """
@@ -99,8 +99,8 @@ def provenance(experiments: Sequence[Experiment], place: Place) -> str:
         commits = found.setdefault(model_title(experiment.model), {})
         commit = str(result["commit_scored"])[:7]
         commits[commit] = commits.get(commit, 0) + 1
-    each = (f"{model} " + ", ".join(f"{commit} ({n})" for commit, n in of.items()) for model, of in found.items())
-    return "commits that scored (number of results): " + "; ".join(each)
+    each = [f"{model} " + ", ".join(f"{commit} ({n})" for commit, n in of.items()) for model, of in found.items()]
+    return "commits that scored (number of results): " + "; ".join(each) if each else ""
 
 
 def data_labels(experiments: Sequence[Experiment]) -> tuple[str, ...]:

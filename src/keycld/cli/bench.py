@@ -114,9 +114,14 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
     from keycld.benchmarks import as_csv, as_markdown, as_text, provenance, tables
 
     experiments, place = selection.experiments(), selection.place()
+    if not selection.results.is_dir():
+        raise KeycldError(
+            f"there is no folder {selection.results}: name the folder of the results with --results, or make them with "
+            f"`keycld bench run {selection.suite}`."
+        )
     found = tables(experiments, place)
     origin = provenance(experiments, place)
-    print("\n\n".join([*(as_text(each) for each in found), origin]))
+    print("\n\n".join(filter(None, [*(as_text(each) for each in found), origin])))
     print(f"\n{_counts(experiments, place)}")
     if out is not None:
         from keycld._files import write_text

@@ -15,7 +15,7 @@ def make(
     out: Path | None = None,
     protocol: str | None = None,
     control: str | None = None,
-    initial_state: Literal["rest", "random", "upright", "moving"] | None = None,
+    initial_state: Annotated[str | None, tyro.conf.arg(metavar="NAME")] = None,
     clip: bool | None = None,
     input: Literal["constant", "random-walk"] | None = None,
     size: Literal["default", "full"] = "default",
@@ -40,8 +40,8 @@ def make(
             differs). Default: keycld-2022, zoo, priors-released.
         control: Which inputs act: none, under (the second does not), full, or the name of the only one that acts,
             such as elbow_torque; by default as in the protocol.
-        initial_state: rest, random, upright (half of them near that pose, for control that must hold it),
-            or moving (anywhere in motion, zoo only); by default as in the protocol.
+        initial_state: rest, random, upright (half of them near that pose, for control that must hold it), released
+            (from rest, anywhere), or moving (anywhere in motion, zoo only); by default as in the protocol.
         clip: Whether the motors limit the input to their range; by default as in the protocol.
         input: constant in each recording, or a random-walk with one value for each frame; by default constant.
         size: full is the published size of the md and room sets, which takes hours; the others have it by default.
@@ -101,28 +101,28 @@ def show(
     /,
     *,
     split: str = "train",
-    trajectory: int = 0,
+    recording: int = 0,
     out: Path | None = None,
     scale: int = 4,
 ) -> None:
-    """Make a movie of one trajectory.
+    """Make a movie of one recording.
 
     Args:
         data: A system whose data is under data/, or a data set's folder.
         split: The file: train, validation, test or test_long.
-        trajectory: The number of the trajectory; negative numbers count from the last.
-        out: Movie, .gif or .mp4; DATA-SPLIT-TRAJECTORY.gif by default.
+        recording: The number of the recording; negative numbers count from the last.
+        out: Movie, .gif or .mp4; DATA-SPLIT-RECORDING.gif by default.
         scale: Enlargement.
     """
     from keycld.data import open_data
     from keycld.data import show as make_movie
 
     dataset = open_data(data)
-    path = out or Path(f"{dataset.folder.name}-{split}-{trajectory}.gif")
+    path = out or Path(f"{dataset.folder.name}-{split}-{recording}.gif")
     count = dataset.count(split)
-    if not -count <= trajectory < count:
-        raise KeycldError(f"there is no recording {trajectory}: choose 0 to {count - 1}.")
-    row = trajectory % count
+    if not -count <= recording < count:
+        raise KeycldError(f"there is no recording {recording}: choose 0 to {count - 1}.")
+    row = recording % count
     print(f"movie: {make_movie(dataset.split(split, rows=slice(row, row + 1)), path, scale=scale)}")
 
 
@@ -140,7 +140,7 @@ def import_(
 ) -> None:
     """Turn videos, or a downloaded set of "Which priors matter?", into a data set.
 
-    Videos are cropped, resized, resampled in time and cut into trajectories. `--split time` is for short clips of one
+    Videos are cropped, resized, resampled in time and cut into recordings. `--split time` is for short clips of one
     motion, as `keycld watch` makes them: what moves is found, and training, validation and test are consecutive parts.
 
     Args:
@@ -154,7 +154,7 @@ def import_(
             the rate at which the camera recorded them.
         crop: Part of the picture to keep, in pixels of the video; by default the largest central square, with --split
             time what moves.
-        frames: Frames of a trajectory; not used with --split time.
+        frames: Frames of a recording; not used with --split time.
         split: recordings gives the first recordings of --frames frames each to training and the last ones to the test;
             time splits each video in time, 60 % for training and the last third for the test.
     """

@@ -6,6 +6,8 @@ from typing import Annotated
 
 import tyro
 
+from keycld._errors import unknown
+
 
 def demo(
     system: Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="SYSTEM")] = "pendulum",
@@ -18,7 +20,7 @@ def demo(
 ) -> None:
     """Run everything on one system: data, training, evaluation, control, report.
 
-    The pendulum takes about five minutes on two CPU cores.
+    The pendulum takes eight to nine minutes on two CPU cores, five to six of them for training.
 
     Args:
         system: pendulum, cartpole or acrobot.
@@ -34,7 +36,11 @@ def demo(
     from keycld.cli.settings import parse_setting
     from keycld.cli.train import train
     from keycld.models import config_for
+    from keycld.systems import AbstractMujocoSystem, names
 
+    possible = names(AbstractMujocoSystem)
+    if system not in possible:
+        raise unknown("system", system, possible, of="the demo")
     run = out or Path("runs") / f"{Path(system).name}-demo"
     times = {}
 

@@ -26,7 +26,7 @@ from keycld.cli import (
     train,
     watch,
 )
-from keycld.cli.start import entry, say, unforeseen
+from keycld.cli.start import after_an_end, entry, say, unforeseen
 
 
 def data_sets() -> None:
@@ -76,13 +76,16 @@ DESCRIPTION = f"""keycld {__version__}: learn the physics of a moving system fro
 `keycld demo` shows everything on one system. Step by step: `keycld train cartpole` (makes the data first),
 `keycld eval RUN`, `keycld control RUN`, `keycld report RUN`, where RUN is the folder that `train` prints.
 
-Compiled programs are kept in the user's cache folder (`keycld info` shows it). Without them: `--no-compile-cache` with
-any verb, or the environment variable {SWITCH}=off. `--debug` with any verb shows where an error came from."""
+Options:
+  --debug              With any verb: show where an error came from.
+  --no-compile-cache   With any verb: keep no compiled programs (`keycld info` shows where); also by {SWITCH}=off.
+  -V, --version        Print the version."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one verb and return the exit code: 0, 2 after one sentence about an error, 130 when interrupted."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    then = after_an_end(words)
     # By default JAX reserves three quarters of a GPU's memory at its first use; a renderer needs some of it.
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     # And writes ten lines of Python into a program for each of its operations, a tenth of the time to make it.
@@ -105,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(__version__)
             return 0
         if words and not words[0].startswith("-") and words[0] not in verbs:
-            raise unknown("verb", words[0], verbs)
+            raise unknown("verb", words[0], verbs, listed="`keycld --help`")
         if words[:1] == ["train"]:
             verbs = {**verbs, "train": train.with_settings(words)}
         tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=description, args=words or ["--help"])
@@ -119,7 +122,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
-        say("keycld: interrupted; the same command continues.")
+        say(f"keycld: interrupted; {then}.")
         return 130
     except MemoryError:
         say("keycld: there is not enough memory: close other programs, or use smaller data or fewer recordings.")

@@ -39,6 +39,8 @@ def predict(
     if data.is_dir():
         raise KeycldError(f"{data} is a folder: name a file in it, such as {data / 'test.h5'}.")
     model, config = load_model(run)
+    if given is not None and given < model.context:
+        raise KeycldError(f"--given is at least {model.context}, the frames that this model needs, not {given}.")
     with tempfile.TemporaryDirectory() as folder:
         file = data
         if data.suffix.lower() not in _HDF5:

@@ -18,6 +18,14 @@ def parse_setting(text: str) -> tuple[str, Any]:
     return name.replace("-", "_"), values[0] if len(values) == 1 and "," not in value else values
 
 
+def as_flag(text: str) -> str:
+    """Return a setting such as `joint.horizons=8,16` as it is written where settings are flags."""
+    name, _, value = text.partition("=")
+    name = name.replace("_", "-")
+    switch = {"true": f"--{name}", "false": f"--no-{name}"}
+    return switch.get(value.lower(), " ".join(filter(None, [f"--{name}", *value.split(",")])))
+
+
 def _number(text: str) -> Any:
     for kind in (int, float):
         try:

@@ -5,13 +5,17 @@ import sys
 import tempfile
 import threading
 import traceback
+from collections.abc import Sequence
 
 from keycld._signals import ENDING, end_on_signals
+
+# What these have done stays; all other verbs begin anew.
+_RESUMED = (["demo"], ["data", "make"], ["watch"], ["train"], ["bench", "run"])
 
 
 def entry() -> None:
     """Run the installed command `keycld`."""
-    end_on_signals()
+    end_on_signals(then=after_an_end(sys.argv[1:]))
     # Tracing makes many small objects that stay: to look for garbage after every 700 takes a twentieth of its time.
     gc.set_threshold(50_000, 20, 20)
     from keycld.cli.main import main
@@ -20,6 +24,12 @@ def entry() -> None:
     if ENDING.is_set():
         threading.Event().wait()  # the other thread ends the process
     sys.exit(code)
+
+
+def after_an_end(words: Sequence[str]) -> str:
+    """Return what to do after the command with these words was interrupted."""
+    verb = [word for word in words if not word.startswith("-")]
+    return "the same command continues" if any(verb[: len(each)] == each for each in _RESUMED) else "run it again"
 
 
 def say(sentence: str) -> None:

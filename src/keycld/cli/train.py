@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import tyro
 
 from keycld._errors import KeycldError
+from keycld.cli.settings import as_flag
 from keycld.models import ModelConfig, config_for
 
 
@@ -75,6 +76,8 @@ def train(
     if not data:
         raise KeycldError("name what to train on: a system, `keycld train pendulum`, or the folder of a data set.")
     if constraints is not None:
+        if "constraints" not in settings.settings():
+            raise KeycldError(f"the model {settings.model} takes no constraints: leave out --mechanism, --constraints.")
         settings = settings.changed({"constraints": _text(constraints)})
     folder = data_for(data)
     seed = seed or 0
@@ -103,10 +106,12 @@ def with_settings(words: Sequence[str]) -> Callable[..., None]:
         words: of the command line, which name model and preset or a configuration.
 
     Raises:
-        KeycldError: there is no such model, preset or configuration.
+        KeycldError: there is no such model, preset or configuration, or settings are given as for other verbs.
     """
+    if (setting := _value(words, "--set")) is not None:
+        raise KeycldError(f"settings of keycld train are flags: write {as_flag(setting)} in place of --set {setting}.")
     model, preset, path = (_value(words, name) for name in ("--model", "--preset", "--config"))
-    if path is None:
+    if not path:
         default = config_for(model or "keycld", preset)
     else:
         from keycld.training import parse_config

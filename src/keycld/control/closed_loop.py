@@ -30,8 +30,10 @@ class Disturbance:
 
     def __post_init__(self):
         """Check that both are shares."""
-        if not (0 <= self.noise <= 1 and 0 <= self.dropped < 1):
-            raise KeycldError(f"noise and dropped frames are shares from 0 to 1, not {self.noise} and {self.dropped}.")
+        if not 0 <= self.noise <= 1:
+            raise KeycldError(f"--noise is a share from 0 to 1, not {self.noise:g}.")
+        if not 0 <= self.dropped < 1:
+            raise KeycldError(f"--drop is a probability of at least 0 and below 1, not {self.dropped:g}.")
 
     def __call__(self, random: np.random.Generator, frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the frames as they arrive, and which of them do."""

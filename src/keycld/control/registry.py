@@ -112,7 +112,7 @@ def law_named(name: str, settings: Mapping[str, Any] | None = None) -> AbstractC
         if not defaults:
             raise KeycldError(f"the control law '{name}' has no settings: leave out {key}.")
         if key not in defaults:
-            raise unknown(f"setting of the control law '{name}'", key, defaults)
+            raise unknown("setting", key, defaults, of=f"the control law '{name}'")
         if isinstance(defaults[key], float):
             if not isinstance(value, int | float):
                 raise KeycldError(f"setting {key} of the control law '{name}' is a number, not '{value}'.")

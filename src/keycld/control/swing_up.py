@@ -54,8 +54,10 @@ class ControlConfig:
         """Check names and numbers."""
         if self.estimator not in ESTIMATORS:
             raise unknown("state estimator", self.estimator, ESTIMATORS)
-        if not (self.seconds >= 0.1 and self.trials >= 1):
-            raise KeycldError(f"give at least 0.1 s and one trial, not {self.seconds} s and {self.trials}.")
+        if not self.seconds >= 0.1:
+            raise KeycldError(f"--seconds is at least 0.1, not {self.seconds:g}.")
+        if self.trials < 1:
+            raise KeycldError(f"--trials is at least 1, not {self.trials}.")
         check_seed(self.seed)
 
     def as_dict(self) -> dict[str, Any]:

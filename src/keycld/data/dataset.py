@@ -238,5 +238,5 @@ def _folder(data: str | Path) -> Path:
     if path.is_file():
         raise KeycldError(f"{path} is a file: give the folder that holds train.h5.")
     if bare:
-        raise unknown("system or folder", path.name, names())
+        raise unknown("system or folder", path.name, names(), listed="docs/systems.md and docs/datasets.md")
     raise KeycldError(f"there is no folder {path}: check the path.")

@@ -45,7 +45,9 @@ def load_image(source: Path | bytes) -> UInt8[np.ndarray, "H W 3"]:
                 return np.asarray(picture.convert("RGB"))
             size = f"{picture.width} × {picture.height}"
     except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise KeycldError(f"{what} cannot be read ({error}): save it again as PNG.") from error
+        # Pillow's own words for this name an object of Python's.
+        reason = "it is no PNG or JPEG" if isinstance(error, UnidentifiedImageError) else error
+        raise KeycldError(f"{what} cannot be read ({reason}): save it again as PNG.") from error
     raise KeycldError(f"{what} has {size} pixels, more than {_MOST_PIXELS:,}: make it smaller.")
 
 

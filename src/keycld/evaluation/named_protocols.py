@@ -126,7 +126,7 @@ def protocol_named(name: str) -> Protocol:
     """
     found = _NAME.fullmatch(name)
     if found is None:
-        raise unknown("protocol", name, PROTOCOLS)
+        raise unknown("protocol", name, PROTOCOLS, listed="docs/evaluation.md")
     split, horizon, priors, given, start, trajectories, backward = found.groups()
     return make_protocol(
         split,

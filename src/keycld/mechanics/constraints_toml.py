@@ -124,7 +124,7 @@ def _relation(entry: dict[str, Any]) -> AbstractRelation:
     relation = relation_of_kind(kind)
     for name in entry:
         if name not in relation.required + relation.optional:
-            raise unknown(f"entry of a {kind} constraint", name, relation.required + relation.optional)
+            raise unknown("entry", name, relation.required + relation.optional, of=f"a {kind} constraint")
     for name in relation.required:
         if name not in entry:
             raise KeycldError(f"a {kind} constraint needs the entry '{name}'.")

@@ -98,7 +98,10 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
 def _weights(law: ConstrainedLagrangian) -> Float[np.ndarray, "K 2"]:
     known = {"springs", "viscous", "joints", "coulomb"}
     if odd := terms_of(law).keys() - known:
-        raise KeycldError(f"the force '{min(odd)}' has no counterpart in MuJoCo: only {', '.join(sorted(known))} have.")
+        raise KeycldError(
+            f"the force '{min(odd)}' has no counterpart in MuJoCo, but {', '.join(sorted(known))} have: train with "
+            "some of these, such as --terms springs viscous, or export the keypoints with --to csv."
+        )
     if not isinstance(law.potential, SumPotential):
         raise KeycldError("only a potential energy of named forces can be exported: train with the preset fast.")
     return np.asarray(law.potential.weight, float).reshape(-1, 2)

@@ -2,7 +2,6 @@
 
 import abc
 import dataclasses
-import difflib
 import json
 import math
 from collections.abc import Mapping
@@ -138,7 +137,7 @@ def _changed(config: Any, settings: Mapping[str, Any], what: str, prefix: str) -
     values = {}
     for name, value in settings.items():
         if name not in fields:
-            raise _unknown(f"setting of {what}", prefix + name, _names(config, prefix))
+            raise unknown("setting", prefix + name, _names(config, prefix), of=what, listed="docs/training.md")
         old = fields[name]
         if dataclasses.is_dataclass(old):
             if not isinstance(value, Mapping):
@@ -158,17 +157,6 @@ def _names(config: Any, prefix: str) -> list[str]:
         else:
             found.append(prefix + field.name)
     return found
-
-
-def _unknown(kind: str, name: str, choices: list[str]) -> KeycldError:
-    """Return the error for a setting that does not exist; for a name without its group it proposes the full name."""
-    short = {choice.rpartition(".")[2]: choice for choice in reversed(choices)}
-    near = difflib.get_close_matches(name.rpartition(".")[2], short, n=1, cutoff=0.8)
-    if near and not difflib.get_close_matches(name, choices, n=1, cutoff=0.5):
-        return KeycldError(
-            f"unknown {kind} '{name}': did you mean '{short[near[0]]}'? choose from {', '.join(sorted(choices))}."
-        )
-    return unknown(kind, name, choices)
 
 
 def _checked(value: Any, old: Any, kind: Any, what: str) -> Any:

@@ -108,9 +108,9 @@ def config_for(model: str = "keycld", preset: str | None = None, **settings: Any
     """
     known = models()
     if model not in known:
-        raise unknown("model", model, known)
+        raise unknown("model", model, known, listed="`keycld models`")
     entry = known[model]
     name = preset or entry.default
     if name not in entry.presets:
-        raise unknown(f"preset of model '{model}'", name, entry.presets)
+        raise unknown("preset", name, entry.presets, of=f"model '{model}'")
     return entry.presets[name].changed(settings)

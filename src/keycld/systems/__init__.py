@@ -19,6 +19,7 @@ from keycld.systems.pictures import render as render
 from keycld.systems.pictures import render_in_worker as render_in_worker
 from keycld.systems.processes import Task as Task
 from keycld.systems.processes import Workers as Workers
+from keycld.systems.processes import check_workers as check_workers
 from keycld.systems.processes import run_in_processes as run_in_processes
 from keycld.systems.registry import get as get
 from keycld.systems.registry import names as names
@@ -54,6 +55,7 @@ __all__ = [
     "Workers",
     "advance",
     "advance_in_worker",
+    "check_workers",
     "render",
     "render_in_worker",
     "get",

@@ -181,7 +181,16 @@ class Workers:
         self._pool.shutdown(cancel_futures=True)
 
 
-def _worker_count(workers: int | None) -> int:
+def check_workers(workers: int | None) -> None:
+    """Refuse a number of worker processes that is not positive; None is what suits the machine.
+
+    Raises:
+        KeycldError: names the option.
+    """
     if workers is not None and workers < 1:
-        raise KeycldError(f"workers must be at least 1, not {workers}.")
+        raise KeycldError(f"--workers is at least 1, not {workers}.")
+
+
+def _worker_count(workers: int | None) -> int:
+    check_workers(workers)
     return min(MAX_WORKERS, workers or cores())

@@ -62,5 +62,5 @@ def get(name: str) -> AbstractSystem:
         KeycldError: there is none; it names the nearest.
     """
     if name not in names():
-        raise unknown("system", name, names())
+        raise unknown("system", name, names(), listed="docs/systems.md and docs/datasets.md")
     return _SYSTEMS[name]

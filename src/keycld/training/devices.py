@@ -106,11 +106,11 @@ def use_devices(count: int) -> Devices:
     found = jax.local_devices()
     if not 1 <= count <= len(found):
         kind = found[0].platform
-        how = f", or simulate more with XLA_FLAGS=--xla_force_host_platform_device_count={count}" * (kind == "cpu")
-        raise KeycldError(
-            f"--devices is a number from 1 to {len(found)}, those of this machine ({kind}), not {count}: take "
-            f"fewer{how}."
-        )
+        known = f"a number from 1 to {len(found)}, those" if len(found) > 1 else "1, the only one"
+        how = ": take fewer" if count > 1 else ""
+        if how and kind == "cpu":
+            how += f", or simulate more with XLA_FLAGS=--xla_force_host_platform_device_count={count}"
+        raise KeycldError(f"--devices is {known} of this machine ({kind}), not {count}{how}.")
     if count == jax.process_count() == 1:
         return Devices()
     each = [[d for d in jax.devices() if d.process_index == k][:count] for k in range(jax.process_count())]

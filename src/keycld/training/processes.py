@@ -36,13 +36,15 @@ def join(coordinator: str, processes: int | None, process: int | None) -> None:
     numbers = {"coordinator_address": coordinator, "num_processes": processes, "process_id": process}
     if coordinator == "auto":
         numbers = {}
-    elif processes is None or process is None or not 0 <= process < processes:
-        raise KeycldError(
-            "with --coordinator ADDRESS:PORT, --processes is the number of all processes and --process that of this "
-            f"one, from 0 to {'that number − 1' if processes is None else processes - 1}, not {process}."
-        )
     elif ":" not in coordinator:
-        raise KeycldError(f"--coordinator is ADDRESS:PORT of process 0, or auto, not {coordinator!r}.")
+        raise KeycldError(f"--coordinator is ADDRESS:PORT of process 0, or auto, not '{coordinator}'.")
+    elif processes is None or process is None:
+        raise KeycldError(
+            f"--coordinator {coordinator} needs --processes, the number of all processes, and --process, that of this "
+            "one, from 0."
+        )
+    elif not 0 <= process < processes:
+        raise KeycldError(f"--process is at least 0 and below --processes, not {process} of {processes}.")
     # It would catch the signal that ends a process, and only take note of it.
     jax.config.update("jax_enable_preemption_service", False)
     try:

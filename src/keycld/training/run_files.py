@@ -113,7 +113,10 @@ def read_config(folder: Path) -> RunConfig:
     Raises:
         KeycldError: the folder is not a run's, or the file is damaged or of a later version.
     """
-    return parse_config(folder / "config.json")
+    path = folder / "config.json"
+    if not path.exists():
+        raise KeycldError(f"{folder} is not a run folder (no config.json): train one with `keycld train`.")
+    return parse_config(path)
 
 
 def parse_config(path: Path) -> RunConfig:
@@ -136,9 +139,7 @@ def parse_config(path: Path) -> RunConfig:
         checked(saved["scene"], Scene, "scene")
         return checked({**saved, "input_names": tuple(saved["input_names"])}, RunConfig)
     except FileNotFoundError:
-        raise KeycldError(
-            f"{path.parent} is not a run folder (no config.json); train one with `keycld train`."
-        ) from None
+        raise KeycldError(f"there is no file {path}: check the path.") from None
     except KeycldError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:

@@ -78,7 +78,9 @@ def train(
     check_seed(seed)
     check_minutes(minutes)
     if log_every < 1:
-        raise KeycldError(f"log_every is a number of steps, at least 1, not {log_every}.")
+        raise KeycldError(f"--log-every is a number of steps, at least 1, not {log_every}.")
+    if not checkpoint_seconds >= 0:
+        raise KeycldError(f"--checkpoint-seconds is a number of at least 0, not {checkpoint_seconds:g}.")
     keep_freed_memory()
     shared = use_devices(devices)
     folder, dataset = Path(out), open_data(data)

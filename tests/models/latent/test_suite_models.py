@@ -201,8 +201,10 @@ def test_the_fast_recipe_lengthens_its_windows():
         assert [stage.sampler.length for stage in stages] == lengths
         assert [stage.steps for stage in stages] == [60, 140, 800]
         assert [stage.validate for stage in stages] == [False, False, True]
-    with pytest.raises(KeycldError, match="sum is below 1"):
+    with pytest.raises(KeycldError, match="the sum of setting shares is below 1, not 1.1"):
         config_for("hgn", "fast", shares=(0.5, 0.6))
+    with pytest.raises(KeycldError, match="have one number for each of the first stages, not 1 and 2: set both"):
+        config_for("hgn", "fast", horizons=(5000,))
 
 
 def test_the_original_hgn_shows_the_map_of_positions(getkey):

@@ -51,7 +51,7 @@ def _attribute_problems(file: File) -> Iterator[str]:
         )
     dt = file.attrs.get("dt", 1.0)
     if not _is_number(dt) or not (np.isfinite(dt) and dt > 0):
-        yield f"the attribute 'dt' must be a positive number of seconds, not {dt!r}."
+        yield f"the attribute 'dt' must be a positive number of seconds, not {dt}."
 
 
 def _is_number(value: Any) -> bool:

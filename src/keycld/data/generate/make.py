@@ -13,7 +13,7 @@ from keycld.data.format.folder import PARTIAL
 from keycld.data.generate.job import Job, Made, Progress
 from keycld.data.generate.recipes import ON_DEMAND, deferred, recipe_for, stored_recipe
 from keycld.data.generate.sampled import Store
-from keycld.systems import AbstractSampledSystem, AbstractSystem, get, names
+from keycld.systems import AbstractSampledSystem, AbstractSystem, check_workers, get, names
 
 
 class ProgressBar:
@@ -81,6 +81,7 @@ def make_data(
 
     Good values: the defaults. 27,580 frames take about a minute on two cores without a GPU, twice as long with `all`.
     """
+    check_workers(workers)
     system = get(system) if isinstance(system, str) else system
     folder = Path(out) if out is not None else Path("data") / system.name
     recipe = recipe_for(

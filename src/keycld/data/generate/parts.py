@@ -46,7 +46,7 @@ def record(system: AbstractMechanism, split: Split, seed: int) -> tuple[Run, int
         run = system.record(random, split.frames, split.conditions)
         if not split.screened or not (_leaves_image(system, run) or _turns_too_fast(system, run)):
             return run, draws
-    raise KeycldError(f"no run of seed {seed} stayed in the image in {_MOST_DRAWS} draws: use fewer frames.")
+    raise KeycldError(f"no recording of seed {seed} stayed in the image in {_MOST_DRAWS} draws: use fewer frames.")
 
 
 def make_part(

@@ -69,7 +69,7 @@ def splits(
         frames: numbers of frames by split.
 
     Raises:
-        KeycldError: an unknown protocol or split, or a number below 1 run or 3 frames.
+        KeycldError: an unknown protocol or split, or a number below 1 recording or 3 frames.
 
     Good values: the defaults; `runs` and `frames` are for tests.
     """
@@ -81,14 +81,9 @@ def splits(
     )
     zoo = protocol == "zoo"
     undriven = Conditions(control="none", initial_state="moving" if zoo else "released", clip=conditions.clip)
-    counts, lengths = dict(_RUNS), _FRAMES | ({"test_long": _ZOO_LONG} if zoo else {})
-    for given, numbers, least, what in ((runs, counts, 1, "runs"), (frames, lengths, 3, "frames")):
-        for name, number in (given or {}).items():
-            if name not in numbers:
-                raise unknown("split", name, numbers)
-            if number < least:
-                raise KeycldError(f"{name} needs at least {least} {what}, not {number}.")
-            numbers[name] = number
+    counts = with_numbers(_RUNS, runs, dict.fromkeys(_RUNS, 1), "recordings")
+    lengths = _FRAMES | ({"test_long": _ZOO_LONG} if zoo else {})
+    lengths = with_numbers(lengths, frames, dict.fromkeys(_FRAMES, 3), "frames")
     return tuple(
         Split(
             name,
@@ -99,3 +94,29 @@ def splits(
         )
         for name in _RUNS
     )
+
+
+def with_numbers(
+    numbers: Mapping[str, int], given: Mapping[str, int] | None, least: Mapping[str, int], what: str, of: str = ""
+) -> dict[str, int]:
+    """Return numbers by split, some of them replaced.
+
+    Args:
+        numbers: by split.
+        given: those that replace them.
+        least: the smallest number that each split may have.
+        what: is counted, "recordings" or "frames"; numbers of recordings are flags of the command line.
+        of: the system, where its splits are its own.
+
+    Raises:
+        KeycldError: an unknown split, or a number that is too small.
+    """
+    for name, number in (given or {}).items():
+        if name not in numbers:
+            raise unknown("split", name, numbers, of=of)
+        if number < least[name]:
+            flag = "--long" if name == "test_long" else f"--{name}"
+            raise KeycldError(
+                f"{flag if what == 'recordings' else name} is a number of {what}, at least {least[name]}, not {number}."
+            )
+    return {**numbers, **(given or {})}

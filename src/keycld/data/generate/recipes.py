@@ -41,12 +41,14 @@ def recipe_for(
     """
     if isinstance(system, AbstractSampledSystem):
         if not (control is initial_state is clip is input is None):
-            raise KeycldError(f"{system.name} has no motors: leave out control, initial_state, clip and input.")
+            raise KeycldError(f"{system.name} has no motors: leave out --control, --initial-state, --clip and --input.")
         recipe = sampled_recipe(system, protocol=protocol, size=size, store=store, runs=runs, frames=frames)
     else:
         assert isinstance(system, AbstractMechanism)
         if size != "default" or store == "states":
-            raise KeycldError(f"{system.name} has one size and pictures that MuJoCo renders: leave out size and store.")
+            raise KeycldError(
+                f"{system.name} has one size and pictures that MuJoCo renders: leave out --size and --store."
+            )
         protocol = protocol or system.protocol
         plan = splits(
             protocol, control=control, initial_state=initial_state, clip=clip, input=input, runs=runs, frames=frames
@@ -158,5 +160,5 @@ def _changed_settings(wanted: Sequence[dict[str, Any]], found: Sequence[dict[str
         flat_new, flat_old = new | new["conditions"], old | old.get("conditions", {})
         keys = [key for key in flat_new | flat_old if key != "conditions"]
         changed += [key for key in keys if flat_new.get(key) != flat_old.get(key)]
-    words = {"seeds": "number of runs", "frames": "number of frames"}
+    words = {"seeds": "number of recordings", "frames": "number of frames"}
     return [words.get(key, key) for key in dict.fromkeys(changed)]

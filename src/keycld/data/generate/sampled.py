@@ -13,6 +13,7 @@ from keycld._version import __version__
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.generate.parts import Part
+from keycld.data.generate.protocols import with_numbers
 from keycld.systems import AbstractRenderedSystem, AbstractSampledSystem, Task
 
 Store = Literal["states", "images"]
@@ -60,15 +61,10 @@ def sampled_splits(
     """
     if size not in system.counts:
         raise unknown("size", size, system.counts)
-    counts = dict(system.counts[size])
-    lengths = {name: _FRAMES[name] for name in counts}
-    for given, numbers, least, what in ((runs, counts, 1, "trajectories"), (frames, lengths, 3, "frames")):
-        for name, number in (given or {}).items():
-            if name not in numbers:
-                raise unknown(f"split of {system.name}", name, numbers)
-            if number < max(least, 2 if name == "train" and what == "trajectories" else 0):
-                raise KeycldError(f"{name} needs at least {max(least, 2)} {what}, not {number}.")
-            numbers[name] = number
+    usual = system.counts[size]
+    counts = with_numbers(usual, runs, dict.fromkeys(usual, 1) | {"train": 2}, "recordings", system.name)
+    lengths = {name: _FRAMES[name] for name in usual}
+    lengths = with_numbers(lengths, frames, dict.fromkeys(usual, 3), "frames", system.name)
     kept = _border(system, size, counts["train"])
     splits = [
         SampledSplit("train", (0, kept), lengths["train"]),
@@ -90,9 +86,8 @@ def _border(system: AbstractSampledSystem, size: str, train: int) -> int:
     related = system.related(size)
     if train <= related:
         raise KeycldError(
-            f"{system.name} stores {related} trajectories of each simulation (size {size}), and train and validation "
-            f"share none: train needs at least {related + 1} trajectories, or {2 * related} for two whole "
-            f"simulations, not {train}."
+            f"{system.name} stores {related} recordings of each simulation (size {size}), and train and validation "
+            f"share none: --train is at least {related + 1}, or {2 * related} for two whole simulations, not {train}."
         )
     return max(1, (train - validation_count(train)) // related) * related
 
@@ -113,7 +108,7 @@ def sampled_recipe(
     """
     protocol = protocol or system.protocols[0]
     if protocol not in system.protocols:
-        raise unknown(f"protocol of {system.name}", protocol, system.protocols)
+        raise unknown("protocol", protocol, system.protocols, of=system.name)
     rendered = isinstance(system, AbstractRenderedSystem)
     if store == "states" and not rendered:
         raise KeycldError(f"{system.name} is rendered by MuJoCo, so its pictures are stored: leave out --store states.")

@@ -18,6 +18,7 @@ from keycld.data.format.writing import write
 from keycld.data.imports.plane import Plane, plane_filter
 from keycld.data.imports.video import (
     as_trajectories,
+    check_size_and_rate,
     constraints_text,
     decode,
     origin,
@@ -106,10 +107,7 @@ def import_clip(
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     text = None if constraints is None else constraints_text(constraints)
-    if size < 8 or size % 8:
-        raise KeycldError(f"size must be a multiple of 8, not {size}.")
-    if fps is not None and not 0 < fps < float("inf"):
-        raise KeycldError(f"fps must be above 0, not {fps}.")
+    check_size_and_rate(size, fps)
     videos = [_looked_at(path, plane, plane_ratio) for path in sources]
     _refuse_unlike(videos)
     first = videos[0]

@@ -50,7 +50,7 @@ def read_log(path: str | Path, positions: tuple[str, ...], inputs: tuple[str, ..
     columns = []
     for name in (time, *positions, *inputs):
         if name not in names:
-            raise unknown(f"column of {path}", name, names or ["none: the file is empty"])
+            raise unknown("column", name, names or ["none: the file is empty"], of=str(path))
         columns.append(names.index(name))
     if len(rows) - 1 < _FEWEST:
         raise KeycldError(f"{path} has {max(0, len(rows) - 1)} rows of numbers, but {_FEWEST} are the least.")

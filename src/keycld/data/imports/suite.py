@@ -85,7 +85,7 @@ def _system(folder: Path) -> AbstractSampledSystem:
     name = re.sub(r"_dt_\d+_\d+$", "", folder.name)
     known = {each.split("/")[-1]: each for each in names(AbstractSampledSystem)}
     if name not in known:
-        raise unknown("data set of the suite", name, known)
+        raise unknown("data set", name, known, of="the suite", listed="docs/datasets.md")
     system = get(known[name])
     assert isinstance(system, AbstractSampledSystem)
     return system

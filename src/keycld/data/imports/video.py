@@ -84,7 +84,7 @@ def import_video(
         spans = [decode(source, spool, size, fps, crop, skip, frames) for source in sources]
         rates = {round(rate, 3) for _, rate in spans}
         if len(rates) > 1:
-            raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with fps.")
+            raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with --fps.")
         total = sum(count for count, _ in spans)
         counts = _counts(total, validation, test, frames)
         recordings = np.memmap(spool, np.uint8, "r", shape=(total, frames, size, size, 3))
@@ -145,17 +145,26 @@ def store(
     return out
 
 
+def check_size_and_rate(size: int, fps: float | None) -> None:
+    """Refuse sides of pictures that a U-Net cannot halve three times, and a rate that is not positive.
+
+    Raises:
+        KeycldError: names the option.
+    """
+    if size < 8 or size % 8:
+        raise KeycldError(f"--size is a positive multiple of 8, not {size}.")
+    if fps is not None and not 0 < fps < float("inf"):
+        raise KeycldError(f"--fps is above 0, not {fps}.")
+
+
 def _check_numbers(
     sources: Sequence[Path], size: int, fps: float | None, frames: int, skip: float, validation: float, test: float
 ) -> None:
     if not sources:
         raise KeycldError("name at least one video.")
-    if size < 8 or size % 8:
-        raise KeycldError(f"size must be a multiple of 8, not {size}.")
-    if fps is not None and not 0 < fps < float("inf"):
-        raise KeycldError(f"fps must be above 0, not {fps}.")
+    check_size_and_rate(size, fps)
     if frames < 3:
-        raise KeycldError(f"a recording needs at least 3 frames, not {frames}.")
+        raise KeycldError(f"--frames is at least 3, not {frames}.")
     if frames * size * size * 3 > LARGEST_RECORDING:
         raise KeycldError(f"recordings of {frames} frames of {size} × {size} pixels are too large: make them smaller.")
     if not skip >= 0:
@@ -217,7 +226,7 @@ def decode(
     width, height, own, seconds = probe(path)
     rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
     if not 0 < rate <= own + Fraction(1, 1000):
-        raise KeycldError(f"fps must be above 0 and at most the {float(own):g} of {path}, not {fps}.")
+        raise KeycldError(f"--fps is above 0 and at most the {float(own):g} of {path}, not {fps}.")
     left, top, side = _square(crop, width, height, path)
     # The rate comes first: it also makes the uneven frame times of phones equal. A gap of years in them would give
     # frames without end; no format spends less than some bytes on a frame of its own.
@@ -235,7 +244,7 @@ def decode(
                 if count > most:
                     raise KeycldError(
                         f"{path} gives more than {most} frames, too many for its size: its frame times are damaged, so "
-                        "convert it to MP4 first, or give a lower fps."
+                        "convert it to MP4 first, or give a lower --fps."
                     )
                 if count < expected:
                     progress(count, expected)
@@ -256,9 +265,10 @@ def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, pat
         return (width - side) // 2, (height - side) // 2, side
     left, top, crop_width, crop_height = crop
     if crop_width != crop_height:
-        raise KeycldError(f"the crop must be a square, not {crop_width} x {crop_height}: make both the same.")
+        raise KeycldError(f"--crop is a square, not {crop_width} x {crop_height}: make both the same.")
     if crop_width < 1 or min(left, top) < 0 or left + crop_width > width or top + crop_height > height:
-        raise KeycldError(f"the crop {crop} does not lie inside the {width} x {height} pixels of {path}.")
+        place = " ".join(map(str, crop))
+        raise KeycldError(f"--crop {place} does not lie inside the {width} x {height} pixels of {path}.")
     return left, top, crop_width
 
 
@@ -267,7 +277,7 @@ def _counts(recordings: int, validation: float, test: float, frames: int) -> tup
     if recordings - sum(held) < 1:
         raise KeycldError(
             f"the videos give {recordings} recordings of {frames} frames, but training, validation and test need "
-            "one each: take a longer video, shorter recordings, or a higher fps."
+            "one each: take a longer video, fewer --frames, or a higher --fps."
         )
     return recordings - sum(held), *held
 

@@ -208,11 +208,13 @@ class FastSettings(LatentConfig):
     def __post_init__(self) -> None:
         """Refuse stages that do not fit together."""
         super().__post_init__()
-        if len(self.horizons) != len(self.shares) or sum(self.shares) >= 1:
+        if len(self.horizons) != len(self.shares):
             raise KeycldError(
-                "horizons and shares have one number for each of the first stages, and the shares' sum is below 1, not "
-                f"{self.horizons} and {self.shares}."
+                "settings horizons and shares have one number for each of the first stages, not "
+                f"{len(self.horizons)} and {len(self.shares)}: set both."
             )
+        if sum(self.shares) >= 1:
+            raise KeycldError(f"the sum of setting shares is below 1, not {sum(self.shares):g}.")
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return one stage for each horizon, and a validation score at the end."""
