@@ -5,6 +5,7 @@ import pytest
 
 from keycld import KeycldError
 from keycld.data import check, clip_file, import_clip, is_clip, open_data, read
+from keycld.data.imports.overlays import overlays
 from keycld.drawing import save_movie
 
 
@@ -40,6 +41,44 @@ def test_a_clip_is_cropped_to_what_moves_and_split_in_time(tmp_path):
     assert check(tmp_path / "a") == [] and data.dt == pytest.approx(0.01) and data.keypoints == ("ball",)
     assert data.train().image.shape == (1, 54, 32, 32, 3) and data.test().frames == 30
     assert tuple(data.attributes["crop"]) == clip.crop
+
+
+def with_clock(frames):
+    """The same frames with four signs in the upper left corner, the last of which is another in each frame."""
+    random, shown = np.random.default_rng(1), frames.copy()
+    signs = 250 * random.integers(0, 2, (10, 6, 4)).astype(np.uint8)
+    for k, frame in enumerate(shown):
+        for place, sign in enumerate((3, 7, k // 10 % 10, k % 10)):
+            frame[6:12, 8 + 5 * place : 12 + 5 * place] = signs[sign][..., None]
+    return shown
+
+
+def test_a_clock_is_painted_over_and_not_in_the_crop(tmp_path):
+    plain = import_clip(video(tmp_path, swing()), tmp_path / "a", constraints="pendulum", size=32)
+    path = video(tmp_path, with_clock(swing()), "clock.mp4")
+    clip = import_clip(path, tmp_path / "b", constraints="pendulum", size=32)
+    assert plain.painted == () and len(clip.painted) == 1
+    left, top, width, height = clip.painted[0]
+    assert left <= 18 and left + width >= 27 and top <= 6 and top + height >= 12 and width < 30 and height < 20
+    np.testing.assert_allclose(clip.crop, plain.crop, atol=1)
+    whole = import_clip(path, tmp_path / "c", constraints="pendulum", size=96, crop=(0, 0, 96, 96))
+    image = open_data(whole.folder).train().image[0].astype(float)
+    assert image[:, top : top + height, left : left + width].std(axis=0).mean() < 5  # the noise alone, not the signs
+    # Other videos of the same camera are seen in the same way.
+    again = read(clip_file(path, tmp_path / "d.h5", open_data(whole.folder).attributes, 96)).image[0].astype(float)
+    assert again[:, top : top + height, left : left + width].std(axis=0).mean() < 5
+
+
+def test_neither_a_place_that_a_part_visits_nor_a_small_part_is_a_clock():
+    """Next to a large part that moves: a place that differs in a third of the frames, a ball that swings a little."""
+    time, (row, column) = np.arange(120), np.mgrid[:120, :160]
+    bar = np.abs(column - 80 - 50 * np.sin(0.2 * time)[:, None, None]) + 0 * row < 4
+    visited = (column > 10) & (column < 16) & (row > 10) & (row < 16) & (time % 30 < 10)[:, None, None]
+    ball = (column - 20 - 4 * np.sin(0.3 * time)[:, None, None]) ** 2 + (row - 110) ** 2 < 5
+    clock = (column > 10) & (column < 16) & (row > 10) & (row < 16) & ((row + column + time[:, None, None]) % 3 == 0)
+    for small, found in ((visited, 0), (ball & (row > 0), 0), (clock, 1)):
+        differs = (bar & (row > 40) & (row < 95)) | small
+        assert len(overlays(differs, np.any(differs, axis=0))) == found
 
 
 def test_long_parts_become_recordings_of_equal_length(tmp_path):

@@ -226,6 +226,9 @@ def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, optio
         counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
         crop = " ".join(map(str, made.crop))
         print(f"clip         {made.fps:g} frames/s, crop {crop}, frames: {counts}", flush=True)
+        for place in made.painted:
+            where = " ".join(map(str, place))
+            print(f"clip         what changes at {where} without moving, such as a clock, is painted over", flush=True)
     return open_data(folder)
 
 

@@ -15,6 +15,7 @@ from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld._files import make_folder
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
+from keycld.data.imports.overlays import Box, overlays, painted_over, pixels_of
 from keycld.data.imports.plane import Plane, plane_filter
 from keycld.data.imports.video import (
     as_trajectories,
@@ -51,23 +52,27 @@ class ImportedClip(NamedTuple):
         crop: left, top, width and height of the part that is kept, pixels of the videos.
         fps: frames a second of the recordings, in the time of the camera.
         frames: of training, validation and test, of all videos.
+        painted: left, top, width and height of places that change without moving, such as a clock, pixels of the
+            videos. They are painted over.
     """
 
     folder: Path
     crop: tuple[int, int, int, int]
     fps: float
     frames: tuple[int, int, int]
+    painted: tuple[tuple[int, int, int, int], ...] = ()
 
 
 class _Video(NamedTuple):
-    """A video that was looked at: its size, frames a second, seconds, and the part that moves."""
+    """A video that was looked at: its size, frames a second, seconds, the part that moves, and what only changes."""
 
     path: Path
     width: int
     height: int
     rate: Fraction
     seconds: float
-    part: tuple[float, float, float, float]
+    part: Box
+    overlays: list[Box]
 
 
 def import_clip(
@@ -115,7 +120,9 @@ def import_clip(
     part = (*corners[:, :2].min(axis=0).tolist(), *corners[:, 2:].max(axis=0).tolist())
     chosen = _square_around(part, first.width, first.height) if crop is None else crop
     every = max(1, math.ceil(max(video.seconds for video in videos) * first.rate / _MOST))
-    mapped = "" if plane is None else plane_filter(plane, plane_ratio, first.width, first.height)
+    painted = [pixels_of(box, first.width, first.height) for video in videos for box in video.overlays]
+    filters = [] if plane is None else [plane_filter(plane, plane_ratio, first.width, first.height)]
+    mapped = ",".join([*filters, painted_over(painted)] if painted else filters)
     make_folder(out.parent)
     with spool_in(out.parent) as spool:
         asked = None if every == 1 else float(first.rate / every)
@@ -141,7 +148,7 @@ def import_clip(
         attributes |= {"video_size": (first.width, first.height), "mapped": mapped}
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
-    return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]))
+    return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]), tuple(painted))
 
 
 def is_clip(attributes: Mapping[str, Any]) -> bool:
@@ -240,7 +247,7 @@ def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
     if len(grey) < _FEWEST:
         raise KeycldError(f"{path} has {len(grey)} frames, but {_FEWEST} are the least: record a longer video.")
     _refuse_cuts(grey, path)
-    return _Video(path, width, height, rate, seconds, _moving_part(grey, path))
+    return _Video(path, width, height, rate, seconds, *_moving_part(grey, path))
 
 
 def _refuse_unlike(videos: Sequence[_Video]) -> None:
@@ -306,8 +313,8 @@ def _refuse_cuts(grey: UInt8[np.ndarray, "T h w"], path: Path) -> None:
         )
 
 
-def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[float, float, float, float]:
-    """Return left, top, right and bottom of what moves, as shares of width and height.
+def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[Box, list[Box]]:
+    """Return where something moves, and where something changes without moving.
 
     A pixel moves if it differs from its median over time by several times the noise in some of the frames.
     """
@@ -324,10 +331,13 @@ def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[float, f
     moves &= around >= 4
     if np.mean(moves) < 5e-4:
         raise KeycldError(f"nothing moves in {path}: choose a video of a mechanism in motion.")
+    h, w = moves.shape
+    still = overlays(differs, moves)
+    for left, top, right, bottom in still:
+        moves[round(top * h) : round(bottom * h), round(left * w) : round(right * w)] = False
     rows, columns = np.nonzero(moves)
     (top, bottom), (left, right) = (np.percentile(index, [0.5, 99.5]) for index in (rows, columns))
-    h, w = moves.shape
-    return left / w, top / h, (right + 1) / w, (bottom + 1) / h
+    return (left / w, top / h, (right + 1) / w, (bottom + 1) / h), still
 
 
 def _refuse_tiny(images: UInt8[np.ndarray, "T h w 3"], path: Path) -> None:
