@@ -1,17 +1,12 @@
-"""Animations of double pendulums as a plotting library makes them: axes, a grid, thin lines, small discs.
+"""Animations of double pendulums as a plotting library makes them: axes, a grid, thin lines, small discs, a clock.
 
-python validation/plotted_clips.py OUT [--seed 0]    # one MP4 of each kind
+`watched_clips.py` watches them.
 """
-
-import argparse
-from pathlib import Path
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from validation.drawn_clips import Camera, Drawn, double_pendulum, hanging
-
-from keycld.drawing import save_movie
 
 
 def plotted_discs(random: np.random.Generator, camera: Camera) -> Drawn:
@@ -62,21 +57,3 @@ PLOTTED = {
     "plotted_trace": (plotted_trace, "double-pendulum"),
 }
 """What is plotted, and the mechanism that it shows."""
-
-
-def main() -> None:
-    """Plot one clip of each kind."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
-    options.out.mkdir(parents=True, exist_ok=True)
-    for kind, (plot, _) in PLOTTED.items():
-        path = options.out / f"{kind}-{options.seed}.mp4"
-        frames = plot(np.random.default_rng(options.seed), Camera()).frames
-        save_movie(path, frames, fps=Camera().fps, scale=1)
-        print(path, frames.shape, flush=True)
-
-
-if __name__ == "__main__":
-    main()
