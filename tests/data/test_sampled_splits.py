@@ -31,7 +31,7 @@ def test_validation_is_rounded_up_to_whole_simulations():
 
 @pytest.mark.parametrize(("size", "related"), [("default", 70), ("full", 700)])
 def test_one_simulation_cannot_be_two_files(size, related):
-    message = f"at least {related + 1} trajectories, or {2 * related} for two whole simulations, not {related}"
+    message = f"at least {related + 1}, or {2 * related} for two whole simulations, not {related}"
     with pytest.raises(KeycldError, match=message):
         sampled_splits(get("md/lj_4"), size, runs={"train": related})
 
