@@ -263,3 +263,27 @@ def test_units_of_a_length():
     assert scale_of(None, 9.81, "pendulum") == (None, 9.81) and scale_of(None, None, "pendulum") is None
     scale = scale_of("pivot-ball = 310 mm", 9.81, "pendulum")
     assert measured_by_hand(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}
+
+
+def test_a_clip_that_no_network_learns_is_measured_on_the_middles_of_its_parts(tmp_path, capsys, monkeypatch):
+    """A disc on a circle of 24 pixels, hanging: by a network that eight steps teach nothing."""
+    video(tmp_path / "swing.mp4", swing(150))
+    tiny = [*_TINY[:2], "vision.steps=8", *_TINY[3:5], "vision.worst=1e-9"]
+    command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "pendulum", "--size", "16", "--json",
+               "--length", "pivot-ball = 0.24 m", "--out", str(tmp_path / "run"), "--set", *tiny]  # fmt: skip
+    assert main(command) == 0
+    told = capsys.readouterr()
+    physics = json.loads(told.out)
+    assert "caution      training failed 3 times" in told.err and "no network has learned this clip" in told.err
+    assert physics["note"].startswith("no network") and physics["mechanism"] == "pendulum"
+    found = {name: each["value"] for name, each in physics["constants"].items()}
+    assert found["viscous_rate"] == pytest.approx(0.2, abs=0.05)  # 2 ⋅ 0.004 a frame, 25 frames a second
+    assert found["length_pivot_ball_m"] == pytest.approx(0.24)
+    assert physics["given"] == {"length_pivot_ball_m": 0.24}
+    page = (tmp_path / "run" / "report.html").read_text()
+    assert "Failed" in page and "Caution: no network" in page and "pivot_x" in page
+
+    monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [])
+    assert main(command) == 2
+    told = capsys.readouterr()
+    assert not told.out and told.err.splitlines()[-1].startswith("keycld: training failed 3 times")

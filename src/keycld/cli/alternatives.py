@@ -5,17 +5,25 @@ from json import dumps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from keycld._files import replacing, write_text
+from keycld._files import hidden_folder, replacing, write_text
 from keycld._records import read_json
 
 if TYPE_CHECKING:
+    from keycld.evaluation import Physics
     from keycld.evaluation.physics_file import Alternative
+    from keycld.mechanics import Scale
+    from keycld.models.keycld.discover import Judged
+    from keycld.models.keycld.identify import Tried
 
 AUTO = "auto"
 """The mechanism that is not told."""
 NOT_IDENTIFIABLE = (
     "not identifiable from this clip: no mechanism was found whose constraints hold and whose motion can be predicted. "
     "Parts must differ in colour from each other and from the ground; otherwise name the mechanism with --mechanism."
+)
+WITHOUT_A_MODEL = (
+    "no network has learned this clip. The constants are measured on the middles of its parts, told apart by their "
+    "colours, in the first two thirds; the last third is not predicted."
 )
 COMPARISON = ("alternatives.json", "mechanism.toml")
 """Files of a run folder: all that were compared, and the chosen one if it has no name."""
@@ -33,9 +41,7 @@ def compare(clip: Path, run: Path, options: Mapping[str, Any]) -> "tuple[str | N
         run: the run folder; the chosen mechanism is written there as TOML if it has no name.
         options: of `import_clip`.
     """
-    from keycld.data import before_test, import_clip, open_data
     from keycld.mechanics import dump_constraints
-    from keycld.models.keycld.discover import discover
 
     stored, toml = (run / name for name in COMPARISON)
     if stored.exists():
@@ -43,29 +49,76 @@ def compare(clip: Path, run: Path, options: Mapping[str, Any]) -> "tuple[str | N
         return next((each["mechanism"] or str(toml) for each in found if each["chosen"]), None), found
     # What is looked at lies next to the file that it is for: it goes with it, also where this fails or is killed.
     with replacing(stored) as temporary:
-        looked = temporary.with_name("looked")
-        import_clip(clip, looked, constraints=None, size=_SIDE, **options)
-        data = open_data(looked)
-        images, train = before_test(data), data.split("train", images=False)
-        assert images.image is not None
-        judged = discover(images.image.reshape(-1, _SIDE, _SIDE, 3), len(train) * train.frames, images.dt)
-        found = []
+        judged, _ = _judged(clip, temporary.with_name("looked"), options)
+        found = [_alternative(each) for each in judged]
         for each in judged:
-            candidate = each.candidate
-            found.append(
-                {
-                    "mechanism": candidate.mechanism,
-                    "keypoints": list(candidate.constraints.keypoints),
-                    "constraints": candidate.residuals,
-                    "freedom": candidate.freedom,
-                    "prediction": each.error,
-                    "chosen": each.chosen,
-                }
-            )
-            if each.chosen and candidate.mechanism is None:
-                write_text(toml, dump_constraints(candidate.constraints))
+            if each.chosen and each.candidate.mechanism is None:
+                write_text(toml, dump_constraints(each.candidate.constraints))
         temporary.write_text(dumps({"alternatives": found}, indent=1) + "\n", encoding="utf-8")
     return next((each["mechanism"] or str(toml) for each in found if each["chosen"]), None), found
+
+
+def measure_parts(
+    clip: Path, run: Path, options: Mapping[str, Any], mechanism: str, tried: "Tried | None", scale: "Scale | None"
+) -> "Physics | None":
+    """Measure the constants of a clip on the middles of its parts; None unless these are those of the mechanism.
+
+    Args:
+        clip: a video.
+        run: the run folder, for temporary files.
+        options: of `import_clip`.
+        mechanism: its name or TOML file.
+        tried: which forces are tried; None: all.
+        scale: a known length or g.
+    """
+    from keycld.evaluation import measure_tracks, restless
+    from keycld.mechanics import dump_constraints, load_constraints
+
+    with hidden_folder(run / "looked") as folder:
+        judged, dt = _judged(clip, folder / "looked", options)
+    told = dump_constraints(load_constraints(mechanism))
+    found = next((each.candidate for each in judged if each.chosen), None)
+    if found is None or dump_constraints(found.constraints) != told:
+        return None
+    pixel = 2 / (_SIDE - 1)
+    measured = measure_tracks(found, dt, tried=tried, pixel=pixel, scale=scale)
+    if measured is None:
+        return None
+    noise = dict(zip(found.constraints.keypoints, (measured.estimate.noise / pixel).tolist(), strict=True))
+    if caution := restless(noise):
+        print(f"caution      {caution}", flush=True)
+    return {
+        **measured.physics,
+        "mechanism": Path(mechanism).stem,
+        "prediction": {"noise": noise},
+        "alternatives": [_alternative(each) for each in judged],
+        "note": WITHOUT_A_MODEL,
+    }
+
+
+def _judged(clip: Path, looked: Path, options: Mapping[str, Any]) -> "tuple[list[Judged], float]":
+    """Return the mechanisms that a clip may show, and the seconds between its frames; its data go into a new folder."""
+    from keycld.data import before_test, import_clip, open_data
+    from keycld.models.keycld.discover import discover
+
+    import_clip(clip, looked, constraints=None, size=_SIDE, **options)
+    data = open_data(looked)
+    images, train = before_test(data), data.split("train", images=False)
+    assert images.image is not None
+    frames = images.image.reshape(-1, _SIDE, _SIDE, 3)
+    return discover(frames, len(train) * train.frames, images.dt), float(images.dt)
+
+
+def _alternative(each: "Judged") -> "Alternative":
+    candidate = each.candidate
+    return {
+        "mechanism": candidate.mechanism,
+        "keypoints": list(candidate.constraints.keypoints),
+        "constraints": candidate.residuals,
+        "freedom": candidate.freedom,
+        "prediction": each.error,
+        "chosen": each.chosen,
+    }
 
 
 def alternatives_table(found: "Sequence[Alternative]") -> str:

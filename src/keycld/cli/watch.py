@@ -14,7 +14,15 @@ import tyro
 from keycld._errors import KeycldError
 from keycld._files import write_text
 from keycld._records import read_json
-from keycld.cli.alternatives import AUTO, COMPARISON, NOT_IDENTIFIABLE, alternatives_table, compare
+from keycld.cli.alternatives import (
+    AUTO,
+    COMPARISON,
+    NOT_IDENTIFIABLE,
+    WITHOUT_A_MODEL,
+    alternatives_table,
+    compare,
+    measure_parts,
+)
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
@@ -116,11 +124,19 @@ def watch(
             save_physics(run, _unidentified(compared))
             print(NOT_IDENTIFIABLE, flush=True)
         else:
-            model = train_model(data.folder, run, settings, seed=seed)
-            motion = evaluate_motion(model, data, progress=Counted("predict"))
-            save_evaluation(run, MOTION, motion)  # Kept if the constants cannot be measured.
-            physics, motion = _measure(run, model, data, motion, chosen, scale)
-            save_evaluation(run, MOTION, motion)
+            try:
+                model = train_model(data.folder, run, settings, seed=seed)
+            except KeycldError as failure:
+                measured = _measured_without_model(run, clips[0], chosen, options, scale)
+                if measured is None:
+                    raise
+                physics = measured
+                print(f"caution      {failure}\ncaution      {WITHOUT_A_MODEL}", flush=True)
+            else:
+                motion = evaluate_motion(model, data, progress=Counted("predict"))
+                save_evaluation(run, MOTION, motion)  # Kept if the constants cannot be measured.
+                physics, motion = _measure(run, model, data, motion, chosen, scale)
+                save_evaluation(run, MOTION, motion)
             physics["given"] = measured_by_hand(scale, gravity)
             if compared:
                 physics["alternatives"] = compared
@@ -232,12 +248,27 @@ def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, optio
     return open_data(folder)
 
 
+def _measured_without_model(
+    run: Path, clip: Path, mechanism: str, options: Mapping[str, Any], scale: "Scale | None"
+) -> "Physics | None":
+    """Measure the constants of a clip whose training has failed; None if it has not, or its parts do not allow it."""
+    from keycld.models.keycld.recipes.clip import ClipConfig
+    from keycld.training import read_config, read_verdict
+
+    verdict = read_verdict(run)
+    if verdict is None or verdict["passed"]:
+        return None
+    config = read_config(run).model_config()
+    assert isinstance(config, ClipConfig)
+    return measure_parts(clip, run, options, mechanism, config.tried, scale)
+
+
 def _measure(
     run: Path, model: "AbstractModel", data: "DataSet", motion: "Evaluation", mechanism: str, scale: "Scale | None"
 ) -> "tuple[Physics, Evaluation]":
     """Measure the constants on the training keypoints; return them with the scores of the prediction, and its fan."""
     from keycld.evaluation import fitted_tracks, measure_physics, pieces_note, restless, with_fan
-    from keycld.mechanics import MechanicalDynamics, terms_of
+    from keycld.mechanics import MechanicalDynamics
     from keycld.models.keycld.model import KeyCLD
     from keycld.models.keycld.recipes.clip import ClipConfig
     from keycld.training import read_config
@@ -264,7 +295,7 @@ def _measure(
         print(f"constants    {note}", flush=True)
     if caution := restless(prediction["noise"]):
         print(f"caution      {caution}", flush=True)
-    return {**measured.physics, "prediction": prediction, "forces": sorted(terms_of(model.law))}, motion
+    return {**measured.physics, "prediction": prediction}, motion
 
 
 def _table(physics: "Physics") -> str:

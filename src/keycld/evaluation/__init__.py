@@ -73,6 +73,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.storage import load_evaluation as load_evaluation
     from keycld.evaluation.storage import save_evaluation as save_evaluation
     from keycld.evaluation.sweeps import evaluate_sweeps as evaluate_sweeps
+    from keycld.evaluation.track_physics import measure_tracks as measure_tracks
 
 __getattr__ = lazily(__name__)
 
@@ -118,6 +119,7 @@ __all__ = [
     "make_protocol",
     "mean_image",
     "measure_physics",
+    "measure_tracks",
     "observed_states",
     "observed_tracks",
     "physics_table",

@@ -120,6 +120,7 @@ def measure_physics(
         rejected={kind: Rejected(worth=worth[kind], needed=needed) for kind in worth if kind not in acting},
         prediction={},
         measured_on=MeasuredOn(pieces=pieces, frames=frames, whole=pieces == len(seen)),
+        forces=sorted(acting),
     )
     return Measured(physics, found)
 

@@ -89,8 +89,8 @@ class Physics(TypedDict):
         measured_on: what the constants were fitted to; of older versions it is missing.
         given: what the user has measured, by the name of the constant.
         forces: kinds of forces that act in addition to gravity.
-        alternatives: the mechanisms that were compared, the chosen one first, where none was told.
-        note: why there is no mechanism.
+        alternatives: the mechanisms that were compared, the chosen one first, where none was told or none learned.
+        note: why there is no mechanism, or no model of it.
     """
 
     mechanism: str | None

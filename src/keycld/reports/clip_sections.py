@@ -56,10 +56,8 @@ def about(physics: Physics) -> str:
 
 def constants(run: Run) -> str:
     """Show the physical constants with error bars, next to what the user has measured."""
-    if run.motion is None:
-        return ""
     if run.physics is None:
-        return html.missing("constants", "Constants", "they have not been measured")
+        return "" if run.motion is None else html.missing("constants", "Constants", "they have not been measured")
     given = run.physics.get("given", {})
     rows = [_constant(name, each, given.get(name)) for name, each in run.physics["constants"].items()]
     notes = "".join(
@@ -67,8 +65,8 @@ def constants(run: Run) -> str:
         for name, each in run.physics["constants"].items()
         if "note" in each
     )
-    caution = restless(run.motion.scores.get("noise", {}))
-    notes = (html.paragraph(f"Caution: {html.text(caution)}") if caution else "") + notes
+    said = restless(run.physics["prediction"].get("noise", {})), run.physics.get("note", "")
+    notes = "".join(html.paragraph(f"Caution: {html.text(each)}") for each in said if each) + notes
     table = html.table(["constant", "value", "given", "unit"], rows, "scores")
     forces = html.paragraph(f"Forces that act: {html.text(acting(run.physics))}.")
     return html.section("constants", "Constants", html.paragraph(about(run.physics)) + table + forces + notes)
@@ -87,7 +85,7 @@ def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[
 
 def rejected(run: Run) -> str:
     """Show which forces were tried and dropped, and on what evidence."""
-    if run.motion is None or run.physics is None or not run.physics["rejected"]:
+    if run.physics is None or not run.physics["rejected"]:
         return ""
     rows = [
         (html.text(kind), f"{100 * each['worth']:.1f} %", f"{100 * each['needed']:.0f} %")
@@ -103,7 +101,7 @@ def rejected(run: Run) -> str:
 
 def alternatives(run: Run) -> str:
     """Show the mechanisms that were compared, where none was told."""
-    compared = [] if run.motion is None or run.physics is None else run.physics.get("alternatives", [])
+    compared = [] if run.physics is None else run.physics.get("alternatives", [])
     if not compared:
         return ""
     rows = [

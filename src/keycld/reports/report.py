@@ -21,8 +21,15 @@ _SECTIONS = (
     run_sections.training,
     run_sections.reproduction,
 )
-# What a training that failed has to show.
-_OF_FAILURE = (run_sections.verdict, run_sections.training, run_sections.reproduction)
+# What a training that failed has to show; the constants of a clip may have been measured without a model.
+_OF_FAILURE = (
+    run_sections.verdict,
+    clip_sections.constants,
+    clip_sections.rejected,
+    clip_sections.alternatives,
+    run_sections.training,
+    run_sections.reproduction,
+)
 _CLIP_SECTIONS = (
     clip_sections.constants,
     clip_sections.prediction,

@@ -1,6 +1,7 @@
 """Discovery of a mechanism: the candidates that the geometry allows, chosen by what their dynamics predict."""
 
 import dataclasses
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -107,41 +108,63 @@ def _limit(candidate: Candidate) -> float:
 
 def _error(candidate: Candidate, fitted: int, dt: float) -> float:
     """Return the error of the predicted validation part, as a share of the extent of the motion."""
-    train, seen = candidate.x[:fitted], _with_gaps_closed(candidate.seen)
-    first, frames = max(_runs(seen[fitted:]), key=lambda run: run[1], default=(0, 0))
-    if frames < _LEAST or not seen[:fitted].any():
+    first, frames = max(_runs(_with_gaps_closed(candidate.seen)[fitted:]), key=lambda run: run[1], default=(0, 0))
+    observed = None if frames < _LEAST else observed_pieces(candidate, fitted, dt)
+    if observed is None:
         return float("inf")
-    moving = train[seen[:fitted]]
-    positions = jnp.asarray(moving, jnp.float32)
-    constraints = candidate.constraints.located(positions)
-    shared = jnp.mean(jax.vmap(constraints)(positions), axis=0)
-    # A chain's motion is fitted in halves, as the recordings of a clip are: after a while nearby motions part.
-    starts, length = pieces(seen[:fitted], fitted if constraints.count < 2 else fitted // 2)
-    if length < _LEAST:
-        return float("inf")
+    count, length = observed.tracks.x.shape[:2]
     shown = min(frames, length)
     held = candidate.x[fitted + first :][:shown]
     given = min(GIVEN, shown // 2)
     # In the shape of the training part, so that one program serves both.
     padded = np.concatenate([held, np.repeat(held[-1:], length - shown, axis=0)])
+    ahead_of = dataclasses.replace(observed.tracks, x=jnp.asarray(np.stack([padded] * count), jnp.float32))
+    terms = _forces(candidate.constraints)
+    found = identify(observed.dynamics, observed.tracks, pixel=0.0, terms=terms)
+    paths = np.asarray(ahead(found.dynamics, ahead_of, given), float)
+    off = (paths[0, :shown] - held)[given:]
+    error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))) / observed.extent)
+    return error if np.isfinite(error) else float("inf")
 
-    def tracks(motions: list[np.ndarray]) -> Tracks:
-        x = jnp.asarray(np.stack(motions), jnp.float32)
-        return Tracks(x, jnp.zeros((len(motions), 0)), jnp.float32(dt), shared, True)
 
+class Observed(NamedTuple):
+    """The pieces of a candidate's tracks that can be fitted.
+
+    Attributes:
+        dynamics: without forces yet; unknown numbers of the constraints are where the tracks put them.
+        tracks: of the pieces.
+        extent: root mean square distance from the mean, image-plane units.
+    """
+
+    dynamics: MechanicalDynamics
+    tracks: Tracks
+    extent: float
+
+
+def observed_pieces(candidate: Candidate, frames: int, dt: float) -> Observed | None:
+    """Return the pieces of the first frames that show all parts whole; None if they are too short.
+
+    A chain's motion is fitted in halves, as the recordings of a clip are: after a while nearby motions part.
+    """
+    x, seen = candidate.x[:frames], _with_gaps_closed(candidate.seen)[:frames]
+    if not seen.any():
+        return None
+    positions = jnp.asarray(x[seen], jnp.float32)
+    constraints = candidate.constraints.located(positions)
+    starts, length = pieces(seen, frames if constraints.count < 2 else frames // 2)
+    if length < _LEAST:
+        return None
     law = ConstrainedLagrangian(
         mass=CoupledMasses.ones(len(constraints.keypoints)),
         potential=SumPotential(jnp.zeros(constraints.dimension), {}),
         input_matrix=None,
         constraint=constraints,
     )
-    observed = tracks([train[start : start + length] for start in starts])
-    found = identify(MechanicalDynamics(law, Rattle(substeps=2)), observed, pixel=0.0, terms=_forces(constraints))
-    paths = np.asarray(ahead(found.dynamics, tracks([padded] * len(starts)), given), float)
-    off = (paths[0, :shown] - held)[given:]
-    extent = np.sqrt(np.mean(np.sum((moving - moving.mean(axis=0)) ** 2, axis=1)))
-    error = float(np.sqrt(np.mean(np.sum(off**2, axis=1))) / extent)
-    return error if np.isfinite(error) else float("inf")
+    shared = jnp.mean(jax.vmap(constraints)(positions), axis=0)
+    shown = jnp.asarray(np.stack([x[start : start + length] for start in starts]), jnp.float32)
+    tracks = Tracks(shown, jnp.zeros((len(starts), 0)), jnp.float32(dt), shared, located=True)
+    extent = float(np.sqrt(np.mean(np.sum((x[seen] - x[seen].mean(axis=0)) ** 2, axis=1))))
+    return Observed(MechanicalDynamics(law, Rattle(substeps=2)), tracks, extent)
 
 
 def _with_gaps_closed(seen: np.ndarray) -> np.ndarray:
