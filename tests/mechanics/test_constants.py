@@ -11,6 +11,7 @@ from keycld._errors import KeycldError
 from keycld.mechanics import (
     ConstrainedLagrangian,
     Constraints,
+    CoupledMasses,
     DistanceToPoint,
     FixedDistance,
     OnLine,
@@ -81,6 +82,27 @@ def test_periods_of_a_double_pendulum():
     assert found["mass_ratio_elbow_tip"] == pytest.approx(1.0)
     assert found["length_elbow_tip"] == pytest.approx(0.5)
     assert found["gravity"] == pytest.approx(GRAVITY)
+
+
+@pytest.mark.parametrize("place", [1.0, 0.7, 1.2])
+def test_the_ratio_of_masses_does_not_depend_on_where_the_last_keypoint_is(place):
+    """Masses of 3, 2 and 1 on three links; the keypoint of the last one nearer to its joint, or beyond the mass."""
+    items = (DistanceToPoint("a"), FixedDistance("c", "b"), FixedDistance("a", "b"))
+    chosen = law([3.0, 2.0, 1.0], items, ("a", "b", "c"), [0, 3 * GRAVITY, 0, 2 * GRAVITY, 0, GRAVITY])
+    # x_c = x_b + (x_keypoint − x_b) / place
+    last = np.array([[1, 0, 0], [0, 1, 0], [0, 1 - 1 / place, 1 / place]])
+    masses = CoupledMasses.ones(3).nearest(last.T @ np.diag([3.0, 2.0, 1.0]) @ last)
+    moved = eqx.tree_at(lambda each: each.mass, chosen, masses)
+    found = measured(moved, 0.5 * on_circle([0.5, -1.0, 0.2]))
+    assert [found["mass_ratio_a_b"], found["mass_ratio_b_c"]] == pytest.approx([1.5, 2.0], rel=1e-5)
+
+
+def test_other_masses_have_the_sums_of_the_mass_matrix():
+    """A cart with a pole whose mass is spread along it: the rows of m have 2.4 and 0.5 kg."""
+    chosen = law([2.0, 1.0], (OnLine("cart"), FixedDistance("cart", "tip")), ("cart", "tip"), [0, 0, 0, GRAVITY])
+    masses = CoupledMasses.ones(2).nearest(np.array([[2.3, 0.1], [0.1, 0.4]]))
+    moved = eqx.tree_at(lambda each: each.mass, chosen, masses)
+    assert measured(moved, jnp.array([0.1, 0.0, 0.4, -0.3]))["mass_ratio_cart_tip"] == pytest.approx(2.4 / 0.5)
 
 
 def test_a_free_direction_has_no_period():

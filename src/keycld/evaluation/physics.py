@@ -51,8 +51,8 @@ _UNITS = {
 }
 _NOTES = {
     "mass_ratio": (
-        "of the masses that resist at the keypoints, so it depends on where on its link a keypoint is; a link's own "
-        "mass is shared out to its ends"
+        "of point masses that would move alike, if all hang on a pivot; otherwise of the masses that resist at the "
+        "keypoints, which depend on where on its link a keypoint is"
     ),
     "gravity_direction": "of the pull, counter-clockwise from the x axis: -90 is straight down",
     "gravity": "if the mass of the last part is on the line between its keypoints; for a single part, at its keypoint",

@@ -1,5 +1,6 @@
 """Physical constants of a mechanism by name, each a function of the law and of the constants of Φ."""
 
+import itertools
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -63,10 +64,7 @@ def physical_constants(
     found = _geometry(law.constraint_function)
     lengths = lengths_of(law.constraint_function, constants)
     found |= {"_".join(("length", *ends)): length for ends, length in lengths.items()}
-    keypoints = getattr(law.constraint_function, "keypoints", ())
-    masses = law.masses
-    for k in range(len(keypoints) - 1):
-        found[f"mass_ratio_{keypoints[k]}_{keypoints[k + 1]}"] = masses[k] / masses[k + 1]
+    found |= _mass_ratios(law)
     if pose is not None:
         small = oscillations(law, constants, pose)
         found |= {f"period_{k + 1}": small.periods[k] for k in range(small.periods.shape[0])}
@@ -81,8 +79,40 @@ def physical_constants(
         weights = law.potential.weight.reshape(-1, 2)
         down = -jnp.sum(weights, axis=0)
         found["gravity_direction"] = jnp.rad2deg(jnp.arctan2(down[1], down[0]))
-        found["gravity"] = jnp.linalg.norm(weights[-1]) / masses[-1]
+        found["gravity"] = jnp.linalg.norm(weights[-1]) / law.masses[-1]
     return found if scale is None else found | _in_metres(found, lengths, scale)
+
+
+def _mass_ratios(law: ConstrainedLagrangian) -> dict[str, Array]:
+    """Return the ratio of the masses at each keypoint and the next one.
+
+    Links in a row that hang on a pivot have inertias N, which multiply cos(θ_i − θ_j) in the kinetic energy. Point
+    masses m would have N_{i,i+1}² / (N_ii N_{i+1,i+1}) = s_{i+1} / s_i, with s_i = m_i + m_{i+1} + …; their ratios do
+    not depend on how long the links are, and so not on where on the last one its keypoint is. The sums of the rows of
+    M do: of two equal masses their ratio is a tenth off where the keypoint is a twentieth of the link too near. Other
+    mechanisms have these sums: how a pole swings on a cart tells its inertia ten times less exactly than the momentum
+    that it takes from the cart.
+    """
+    constraint, matrix = law.constraint_function, law.mass.matrix
+    if not isinstance(constraint, Constraints):
+        return {}
+    names, ratios = constraint.keypoints, law.masses[:-1] / law.masses[1:]
+    if len(names) > 1 and _hangs_in_a_row(constraint):
+        inertia = jnp.cumsum(jnp.cumsum(matrix[::-1, ::-1], axis=0), axis=1)[::-1, ::-1]
+        own, next_ = jnp.diagonal(inertia), jnp.diagonal(inertia, offset=1)
+        beyond = next_**2 / (own[:-1] * own[1:])
+        ratios = (1 / beyond - 1) / (1 - jnp.append(beyond[1:], 0.0))
+    return {f"mass_ratio_{names[k]}_{names[k + 1]}": ratios[k] for k in range(len(names) - 1)}
+
+
+def _hangs_in_a_row(constraint: Constraints) -> bool:
+    """Tell whether the first keypoint turns around a pivot, each other one around the one before, and nothing else."""
+    names = constraint.keypoints
+    links = [{item.first, item.second} for item in constraint.items if isinstance(item, FixedDistance)]
+    others = [item for item in constraint.items if not isinstance(item, FixedDistance)]
+    hinged = [item.keypoint for item in others if isinstance(item, DistanceToPoint)]
+    pairs = [set(pair) for pair in itertools.pairwise(names)]
+    return hinged == [names[0]] and len(others) == 1 and len(links) == len(pairs) and all(p in links for p in pairs)
 
 
 def _geometry(constraint: AbstractConstraint) -> dict[str, Array]:
