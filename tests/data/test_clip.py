@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, clip_file, import_clip, is_clip, open_data, read
+from keycld.data import check, clip_file, import_clip, is_clip, open_data, read, usual_for
+from keycld.data.imports.exposure import made_alike, usual_of
 from keycld.data.imports.overlays import overlays
 from keycld.drawing import save_movie
 
@@ -67,6 +68,46 @@ def test_a_clock_is_painted_over_and_not_in_the_crop(tmp_path):
     # Other videos of the same camera are seen in the same way.
     again = read(clip_file(path, tmp_path / "d.h5", open_data(whole.folder).attributes, 96)).image[0].astype(float)
     assert again[:, top : top + height, left : left + width].std(axis=0).mean() < 5
+
+
+def exposed(frames):
+    """The same frames by a camera that adapts slowly, within a fifth."""
+    exposure = 0.85 + 0.1 * np.sin(2 * np.pi * np.arange(len(frames)) / 70)
+    return np.round(frames * exposure[:, None, None, None]).astype(np.uint8)
+
+
+def test_an_exposure_that_varies_is_evened_out(tmp_path):
+    options = {"constraints": "pendulum", "size": 32, "crop": (32, 0, 96, 96)}
+    plain = import_clip(video(tmp_path, 20 + swing() // 2), tmp_path / "a", **options)
+    path = video(tmp_path, exposed(20 + swing() // 2), "exposed.mp4")
+    clip = import_clip(path, tmp_path / "b", **options)
+    assert plain.exposure == 0 and clip.exposure == pytest.approx(0.083, abs=0.005)
+    data = open_data(tmp_path / "b")
+    images = [open_data(folder).train().image[0].astype(float) for folder in (tmp_path / "a", tmp_path / "b")]
+    ratios = np.mean(images[1], axis=(1, 2, 3)) / np.mean(images[0], axis=(1, 2, 3))
+    assert np.std(ratios) < 0.005 < 0.05 < np.std(exposed(np.full((54, 1, 1, 3), 100)).mean(axis=(1, 2, 3)) / 100)
+    # Other videos of the same camera are seen in the same way.
+    again = read(clip_file(path, tmp_path / "c.h5", data.attributes, 32, usual=usual_for(data))).image[0, :54]
+    assert np.mean(np.abs(again - images[1])) < 1 and usual_for(open_data(tmp_path / "a")) is None
+
+
+def test_exposures_are_exact_and_dark_or_white_pictures_are_left_alone():
+    """A disc that covers a twentieth of a textured picture; a white one with a thin black line."""
+    random, (row, column) = np.random.default_rng(0), np.mgrid[:64, :64]
+    ground = random.uniform(40, 200, (64, 64, 3))
+    at = 32 + 20 * np.cos(0.3 * np.arange(90))[:, None, None]
+    disc = (column - at) ** 2 + (row - 40) ** 2 < 64
+    exposure = 1 + 0.1 * np.sin(np.arange(90) / 9)
+    frames = np.where(disc[..., None], 230.0, ground) * exposure[:, None, None, None] + random.normal(
+        0, 3, (90, 64, 64, 3)
+    )
+    frames = np.clip(np.round(frames), 0, 255).astype(np.uint8)
+    found = usual_of([frames]).exposures(frames)
+    np.testing.assert_allclose(found / found.mean(axis=0), np.tile(exposure[:, None], 3) / exposure.mean(), rtol=3e-3)
+    for level in (5.0, 250.0):
+        picture = np.where(np.abs(row - at) < 1, 255 - level, level) + random.normal(0, 3, (90, 64, 64))
+        plain = np.repeat(np.clip(picture, 0, 255).astype(np.uint8)[..., None], 3, axis=-1)
+        assert made_alike([plain.copy()]) == 0
 
 
 def test_neither_a_place_that_a_part_visits_nor_a_small_part_is_a_clock():

@@ -22,7 +22,7 @@ def live(source: Path, run: Path, *, seconds: float, given: int, port: int) -> N
     Raises:
         KeycldError: as `camera_frames`, `Ahead` and `live_page`; the run is not of keypoints, seconds are none.
     """
-    from keycld.data import camera_frames, open_data
+    from keycld.data import camera_frames, open_data, usual_for
     from keycld.drawing import overlay_future
     from keycld.evaluation import Ahead
     from keycld.models.keycld.model import AbstractKeypointModel
@@ -43,7 +43,8 @@ def live(source: Path, run: Path, *, seconds: float, given: int, port: int) -> N
     told = began
     with live_page(port) as page:
         print(f"open {page.address} in a browser; Ctrl-C ends it", flush=True)
-        for seen in camera_frames(source, data.attributes, int(config.scene["height"])):
+        usual = usual_for(data)
+        for seen in camera_frames(source, data.attributes, int(config.scene["height"]), usual=usual):
             came = time.monotonic()
             began = began if count else came
             keypoints, coming = ahead.see(np.stack([each.frame for each in seen]))

@@ -32,7 +32,7 @@ def predict(
         first: The first given frame: its number, or its time such as 12.5s. A reversible model predicts the frames
             before it backward.
     """
-    from keycld.data import clip_file, open_data, read
+    from keycld.data import clip_file, open_data, read, usual_for
     from keycld.evaluation import predict_file
     from keycld.training import Counted, load_model
 
@@ -45,7 +45,9 @@ def predict(
         file = data
         if data.suffix.lower() not in _HDF5:
             size = int(config.scene["height"])
-            file = clip_file(data, Path(folder) / f"{data.stem}.h5", open_data(config.data).attributes, size)
+            learned = open_data(config.data)
+            out_file = Path(folder) / f"{data.stem}.h5"
+            file = clip_file(data, out_file, learned.attributes, size, usual=usual_for(learned))
         number = _frame(first, lambda: read(file, images=False, rows=slice(0, 1)).dt)
         if file is not data:
             last = read(file, images=False).frames - (given or model.context)

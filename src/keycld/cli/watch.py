@@ -245,6 +245,8 @@ def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, optio
         for place in made.painted:
             where = " ".join(map(str, place))
             print(f"clip         what changes at {where} without moving, such as a clock, is painted over", flush=True)
+        if made.exposure:
+            print(f"clip         the exposure varies by {made.exposure:.1%}; it is evened out", flush=True)
     return open_data(folder)
 
 

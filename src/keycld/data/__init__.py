@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from keycld.data.imports.clip import clip_file as clip_file
     from keycld.data.imports.clip import import_clip as import_clip
     from keycld.data.imports.clip import is_clip as is_clip
+    from keycld.data.imports.exposure import Usual as Usual
+    from keycld.data.imports.exposure import usual_for as usual_for
     from keycld.data.imports.suite import import_suite as import_suite
     from keycld.data.imports.video import import_video as import_video
     from keycld.data.sample.clips import Clip as Clip
@@ -66,6 +68,7 @@ __all__ = [
     "Sweep",
     "TrainingData",
     "Trajectories",
+    "Usual",
     "WholeTrajectories",
     "Windows",
     "before_test",
@@ -86,6 +89,7 @@ __all__ = [
     "resident",
     "sha256",
     "show",
+    "usual_for",
     "with_derivative",
     "with_pictures",
     "write",

@@ -14,6 +14,7 @@ from jaxtyping import UInt8
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld.data.imports.clip import is_clip, kept_rate
+from keycld.data.imports.exposure import Usual
 from keycld.data.imports.video import unreadable
 
 
@@ -29,7 +30,9 @@ class Seen(NamedTuple):
     frame: UInt8[np.ndarray, "S S 3"]
 
 
-def camera_frames(source: str | Path, like: Mapping[str, Any], size: int, view: int = 512) -> Iterator[list[Seen]]:
+def camera_frames(
+    source: str | Path, like: Mapping[str, Any], size: int, view: int = 512, *, usual: Usual | None = None
+) -> Iterator[list[Seen]]:
     """Yield the frames that have come since the last ones were taken, at least one; in all, every frame once.
 
     A file is played at its own speed, so whoever takes long for some frames gets several at once, as from a camera.
@@ -39,6 +42,7 @@ def camera_frames(source: str | Path, like: Mapping[str, Any], size: int, view: 
         like: attributes of a data set that was made of a clip from the same camera and place.
         size: pixels of a side for the model.
         view: pixels of a side for people.
+        usual: what the frames for the model are made alike to (`usual_for`); None: nothing.
 
     Raises:
         KeycldError: no such source, not a video, of another size; the data set is not made of a clip; the camera stops.
@@ -62,7 +66,8 @@ def camera_frames(source: str | Path, like: Mapping[str, Any], size: int, view: 
             with ffmpeg("-v", "error", *options, "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo", "-") as process:
                 while not ended.is_set() and len(picture := process.read(int(np.prod(shape)))) == np.prod(shape):
                     both = np.frombuffer(picture, np.uint8).reshape(shape)
-                    frames.put(Seen(both[:view], both[view:, :size]))
+                    frame = both[view:, :size]
+                    frames.put(Seen(both[:view], frame if usual is None else usual.evened(frame[None])[0]))
                 if ended.is_set():
                     process.end()
             frames.put(None)

@@ -15,6 +15,7 @@ from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld._files import make_folder
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
+from keycld.data.imports.exposure import EVENED, Usual, made_alike
 from keycld.data.imports.overlays import Box, overlays, painted_over, pixels_of
 from keycld.data.imports.plane import Plane, plane_filter
 from keycld.data.imports.video import (
@@ -54,6 +55,8 @@ class ImportedClip(NamedTuple):
         frames: of training, validation and test, of all videos.
         painted: left, top, width and height of places that change without moving, such as a clock, pixels of the
             videos. They are painted over.
+        exposure: by how much the exposure varied, a standard deviation as a share of it, where this was evened out;
+            otherwise 0.
     """
 
     folder: Path
@@ -61,6 +64,7 @@ class ImportedClip(NamedTuple):
     fps: float
     frames: tuple[int, int, int]
     painted: tuple[tuple[int, int, int, int], ...] = ()
+    exposure: float = 0.0
 
 
 class _Video(NamedTuple):
@@ -91,7 +95,8 @@ def import_clip(
 
     The first three fifths of the frames are for training, the last third for the test, those between for validation.
     Each part is one recording, or several of equal length after one another. Of several videos all recordings of a part
-    have the length of the shortest. All frames are kept up to 1200, of longer videos every second, third, … one.
+    have the length of the shortest. All frames are kept up to 1200, of longer videos every second, third, … one. Places
+    that change without moving are painted over, and an exposure that varies is evened out (`made_alike`).
 
     Args:
         paths: videos of one mechanism, any format that ffmpeg reads.
@@ -130,11 +135,13 @@ def import_clip(
         kept = decoded[0][1]
         rate = kept if fps is None else fps / every
         ends = np.cumsum([count for count, _ in decoded])
-        images = np.memmap(spool, np.uint8, "r", shape=(int(ends[-1]), size, size, 3))
+        images = np.memmap(spool, np.uint8, "r+", shape=(int(ends[-1]), size, size, 3))
+        clips = np.split(images, ends[:-1])
+        exposure = made_alike(clips, _TRAIN)
         if constraints is not None:
             _refuse_tiny(images, sources[0])
         split: dict[str, list[np.ndarray]] = {"train": [], "validation": [], "test": []}
-        for clip in np.split(images, ends[:-1]):
+        for clip in clips:
             bounds = round(_TRAIN * len(clip)), len(clip) - round(_TEST * len(clip))
             for name, some in zip(split, np.split(clip, bounds), strict=True):
                 split[name].append(some)
@@ -145,10 +152,10 @@ def import_clip(
         attributes = origin(sources, rate) | {"protocol": CLIP, "crop": chosen, "kept_fps": kept}
         for name in ("train", "validation"):
             attributes[f"{name}_of_clips"] = [len(clip) // parts[name].shape[1] for clip in split[name]]
-        attributes |= {"video_size": (first.width, first.height), "mapped": mapped}
+        attributes |= {"video_size": (first.width, first.height), "mapped": mapped, EVENED: exposure > 0}
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
-    return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]), tuple(painted))
+    return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]), tuple(painted), exposure)
 
 
 def is_clip(attributes: Mapping[str, Any]) -> bool:
@@ -177,7 +184,9 @@ def before_test(data: "DataSet") -> Trajectories:
     return as_trajectories(image, dict(train.attributes))
 
 
-def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size: int) -> Path:
+def clip_file(
+    video: str | Path, out: str | Path, like: Mapping[str, Any], size: int, *, usual: Usual | None = None
+) -> Path:
     """Write all frames of a video as one recording, cropped and at the rate of a data set that was made of a clip.
 
     Args:
@@ -185,6 +194,7 @@ def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size:
         out: HDF5 file to write.
         like: attributes of the data set.
         size: pixels of a side of the pictures.
+        usual: what the frames are made alike to (`usual_for`); None: nothing.
 
     Raises:
         KeycldError: no such file, not a video, of another size, too long; the data set is not made of a clip.
@@ -200,9 +210,10 @@ def clip_file(video: str | Path, out: str | Path, like: Mapping[str, Any], size:
         total, _ = decode(
             video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1, str(like.get("mapped", ""))
         )
-        images = np.memmap(spool, np.uint8, "r", shape=(1, total, size, size, 3))
+        images = np.memmap(spool, np.uint8, "r", shape=(total, size, size, 3))
+        even = images if usual is None else usual.evened(images)
         attributes = origin([video], 1 / float(like["dt"])) | {"system": str(like["system"])}
-        write(out, as_trajectories(np.asarray(images), attributes))
+        write(out, as_trajectories(np.asarray(even)[None], attributes))
     return out
 
 
@@ -246,6 +257,7 @@ def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
     grey = _grey(path, width, height, rate, seconds, mapped)
     if len(grey) < _FEWEST:
         raise KeycldError(f"{path} has {len(grey)} frames, but {_FEWEST} are the least: record a longer video.")
+    made_alike([grey[..., None]])
     _refuse_cuts(grey, path)
     return _Video(path, width, height, rate, seconds, *_moving_part(grey, path))
 
