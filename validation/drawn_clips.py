@@ -16,11 +16,13 @@ SIDE = 128
 
 
 class Camera(NamedTuple):
-    """How a clip is recorded: its frames, their rate, and the angle by which the picture is turned, degrees."""
+    """How a clip is recorded: its frames, their rate, the angle by which the picture is turned, degrees, and by how
+    much the exposure varies, a standard deviation as a share of it."""
 
     frames: int = 300
     fps: float = 30.0
     tilt: float = 0.0
+    exposure: float = 0.0
 
 
 class Drawn(NamedTuple):
@@ -281,7 +283,13 @@ KINDS = {
 
 def drawn(kind: str, seed: int, camera: Camera = Camera()) -> Drawn:  # noqa: B008
     """Return the clip of a kind and a seed."""
-    return KINDS[kind][0](np.random.default_rng([seed, list(KINDS).index(kind)]), camera)
+    found = KINDS[kind][0](np.random.default_rng([seed, list(KINDS).index(kind)]), camera)
+    if not camera.exposure:
+        return found
+    # It rises and falls in five seconds.
+    level = 0.95 + camera.exposure * np.sqrt(2) * np.sin(2 * np.pi * np.arange(camera.frames) / camera.fps / 5)
+    frames = np.round(found.frames * level[:, None, None, None])
+    return found._replace(frames=np.clip(frames, 0, 255).astype(np.uint8))
 
 
 def main() -> None:

@@ -32,16 +32,18 @@ class Clip(NamedTuple):
 
     @property
     def name(self) -> str:
-        """Kind, seed, seconds, frames a second, and the tilt where there is one."""
+        """Kind, seed, seconds, frames a second, and the tilt and the varying exposure where there are some."""
         camera = self.camera
         tilt = f"-{camera.tilt:g}deg" if camera.tilt else ""
-        return f"{self.kind}-{self.seed}-{camera.frames / camera.fps:g}s-{camera.fps:g}fps{tilt}"
+        exposure = f"-{camera.exposure:.0%}" if camera.exposure else ""
+        return f"{self.kind}-{self.seed}-{camera.frames / camera.fps:g}s-{camera.fps:g}fps{tilt}{exposure}"
 
 
 CLIPS = (
     Clip("damped_pendulum", 300, Camera()),
     Clip("damped_pendulum", 301, Camera(600, 60.0, 15.0)),
     Clip("damped_pendulum", 302, Camera(1800, 30.0)),
+    Clip("damped_pendulum", 303, Camera(exposure=0.03)),
     Clip("hidden_pivot", 300, Camera()),
     Clip("hidden_pivot", 301, Camera(600, 60.0)),
     Clip("damped_double_pendulum", 300, Camera()),
