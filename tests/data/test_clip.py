@@ -122,6 +122,23 @@ def test_neither_a_place_that_a_part_visits_nor_a_small_part_is_a_clock():
         assert len(overlays(differs, np.any(differs, axis=0))) == found
 
 
+def test_pictures_are_larger_where_parts_are_small(tmp_path):
+    """Discs of radius 12, 5 and 2.5 that swing through a picture of 300 x 300."""
+    row, column = np.mgrid[:300, :300]
+    angle = 1.2 * np.cos(2 * np.pi * np.arange(70) / 40)
+    for radius, sides in ((12, 64), (5, 128), (2.5, None)):
+        far = np.hypot(column - (150 + 150 * np.sin(angle))[:, None, None], row - (150 * np.cos(angle))[:, None, None])
+        frames = np.repeat(np.where(far < radius, 20, 220).astype(np.uint8)[..., None], 3, axis=-1)
+        path = video(tmp_path, frames, f"{radius}.mp4")
+        if sides is None:
+            with pytest.raises(KeycldError, match="too few to be followed: add --size"):
+                import_clip(path, tmp_path / f"{radius}", constraints="pendulum", size=None)
+            continue
+        clip = import_clip(path, tmp_path / f"{radius}", constraints="pendulum", size=None)
+        assert 0.6 * sides < clip.size <= sides and clip.size % 8 == 0
+        assert open_data(clip.folder).train().image.shape[2:] == (clip.size, clip.size, 3)
+
+
 def test_long_parts_become_recordings_of_equal_length(tmp_path):
     path = video(tmp_path, swing())
     import_clip(path, tmp_path / "a", constraints="pendulum", size=32, crop=(32, 0, 96, 96), longest=20)

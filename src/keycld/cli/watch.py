@@ -51,7 +51,7 @@ def watch(
         tyro.conf.arg(metavar="X1 Y1 X2 Y2 X3 Y3 X4 Y4"),
     ] = None,
     plane_ratio: float = 1.0,
-    size: int = 64,
+    size: int | None = None,
     length: str | None = None,
     gravity: float | None = None,
     out: Path | None = None,
@@ -77,7 +77,8 @@ def watch(
         plane: Where the camera looks at the plane of the motion from the side: pixels of the corners of a rectangle in
             that plane, top left, top right, bottom right, bottom left. Its view from the front is learned.
         plane_ratio: Width of that rectangle divided by its height.
-        size: Height and width of the pictures that the model sees, a multiple of 8.
+        size: Height and width of the pictures that the model sees, a multiple of 8; by default 64, or up to 128 where
+            parts are small.
         length: A known length, such as "pivot-ball = 0.31 m", for constants in metres.
         gravity: The strength of gravity in m/s², such as 9.81; sets the scale where no length does, and is compared
             with the measured one otherwise.
@@ -191,7 +192,9 @@ def _unidentified(compared: "list[Alternative]") -> "Physics":
 
 
 @contextlib.contextmanager
-def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, options: Mapping[str, Any]) -> Iterator[None]:
+def _claimed(
+    run: Path, clips: Sequence[Path], mechanism: str, size: int | None, options: Mapping[str, Any]
+) -> Iterator[None]:
     """Say in the run folder what its data are made of; leave no new folder behind where that fails.
 
     Raises:
@@ -213,7 +216,8 @@ def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, option
     if (run / _REQUEST).exists():
         before = read_json(run / _REQUEST, dict[str, Any], f"delete {run}")
         for name, value in request.items():
-            if before.get(name, _DEFAULTS.get(name)) != value:
+            # Without a size it is that of the data.
+            if before.get(name, _DEFAULTS.get(name)) != value and not (name == "size" and value is None):
                 raise KeycldError(f"{run} is of other {name}: choose another --out, or delete that folder.")
     try:
         write_text(run / _REQUEST, dumps(request, indent=1))
@@ -228,7 +232,9 @@ def _claimed(run: Path, clips: Sequence[Path], mechanism: str, size: int, option
         raise
 
 
-def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, options: Mapping[str, Any]) -> "DataSet":
+def _imported(
+    run: Path, clips: Sequence[Path], mechanism: str, size: int | None, options: Mapping[str, Any]
+) -> "DataSet":
     """Return the data set of a run, made of the clips unless it is there.
 
     Raises:
@@ -240,7 +246,7 @@ def _imported(run: Path, clips: Sequence[Path], mechanism: str, size: int, optio
     if not finished(folder):
         made = import_clip(clips, folder, constraints=mechanism, size=size, **options)
         counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
-        crop = " ".join(map(str, made.crop))
+        crop = f"{' '.join(map(str, made.crop))} to {made.size} x {made.size}"
         print(f"clip         {made.fps:g} frames/s, crop {crop}, frames: {counts}", flush=True)
         for place in made.painted:
             where = " ".join(map(str, place))

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import UInt8
@@ -41,6 +41,8 @@ _TRAIN, _TEST = 0.6, 1 / 3
 """Shares of the frames: the first ones for training, the last ones for the test."""
 # Pixels that the parts of a mechanism cover at least.
 _TINY = 5.0
+_SMALLEST, _LARGEST = 64, 128
+"""Sides of pictures that are chosen where none is given."""
 CLIP = "clip"
 """The split plan of a data set that was made of a clip."""
 
@@ -51,6 +53,7 @@ class ImportedClip(NamedTuple):
     Attributes:
         folder: the data set.
         crop: left, top, width and height of the part that is kept, pixels of the videos.
+        size: pixels of a side of the pictures.
         fps: frames a second of the recordings, in the time of the camera.
         frames: of training, validation and test, of all videos.
         painted: left, top, width and height of places that change without moving, such as a clock, pixels of the
@@ -61,6 +64,7 @@ class ImportedClip(NamedTuple):
 
     folder: Path
     crop: tuple[int, int, int, int]
+    size: int
     fps: float
     frames: tuple[int, int, int]
     painted: tuple[tuple[int, int, int, int], ...] = ()
@@ -84,7 +88,7 @@ def import_clip(
     out: str | Path,
     *,
     constraints: str | Path | None,
-    size: int = 64,
+    size: int | None = 64,
     fps: float | None = None,
     crop: tuple[int, int, int, int] | None = None,
     plane: Plane | None = None,
@@ -102,7 +106,7 @@ def import_clip(
         paths: videos of one mechanism, any format that ffmpeg reads.
         out: the folder to make.
         constraints: a TOML file of keypoints and constraints, or the name of a mechanism; None: without any.
-        size: pixels of a side of the pictures, a multiple of 8.
+        size: pixels of a side of the pictures, a multiple of 8; None: 64, or up to 128 where parts are small.
         fps: frames a second with which the camera recorded, where the file states another rate (slow motion).
         crop: (left, top, width, height), a square in pixels of the video; by default the part in which something moves.
         plane: corners of a rectangle in the plane of the motion, which is then mapped to its view from the front. A
@@ -117,7 +121,7 @@ def import_clip(
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     text = None if constraints is None else constraints_text(constraints)
-    check_size_and_rate(size, fps)
+    check_size_and_rate(size or _SMALLEST, fps)
     videos = [_looked_at(path, plane, plane_ratio) for path in sources]
     _refuse_unlike(videos)
     first = videos[0]
@@ -130,16 +134,18 @@ def import_clip(
     mapped = ",".join([*filters, painted_over(painted)] if painted else filters)
     make_folder(out.parent)
     with spool_in(out.parent) as spool:
-        asked = None if every == 1 else float(first.rate / every)
-        decoded = [decode(path, spool, size, asked, chosen, 0.0, 1, mapped) for path in sources]
-        kept = decoded[0][1]
+        asked, side = None if every == 1 else float(first.rate / every), size or _SMALLEST
+        clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
+        needed = side if constraints is None else _needed_side(clips)
+        if size is None and side < needed <= _LARGEST:
+            side = needed
+            clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
+        elif side < needed:
+            raise KeycldError(
+                f"what moves in {sources[0]} covers less than {_TINY:g} pixels of pictures of {side} x {side}, too few "
+                f"to be followed: add --size {needed}, or --crop closer around it."
+            )
         rate = kept if fps is None else fps / every
-        ends = np.cumsum([count for count, _ in decoded])
-        images = np.memmap(spool, np.uint8, "r+", shape=(int(ends[-1]), size, size, 3))
-        clips = np.split(images, ends[:-1])
-        exposure = made_alike(clips, _TRAIN)
-        if constraints is not None:
-            _refuse_tiny(images, sources[0])
         split: dict[str, list[np.ndarray]] = {"train": [], "validation": [], "test": []}
         for clip in clips:
             bounds = round(_TRAIN * len(clip)), len(clip) - round(_TEST * len(clip))
@@ -155,7 +161,7 @@ def import_clip(
         attributes |= {"video_size": (first.width, first.height), "mapped": mapped, EVENED: exposure > 0}
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
-    return ImportedClip(out, chosen, rate, (frames[0], frames[1], frames[2]), tuple(painted), exposure)
+    return ImportedClip(out, chosen, side, rate, (frames[0], frames[1], frames[2]), tuple(painted), exposure)
 
 
 def is_clip(attributes: Mapping[str, Any]) -> bool:
@@ -262,6 +268,27 @@ def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
     return _Video(path, width, height, rate, seconds, *_moving_part(grey, path))
 
 
+def _pictures(
+    sources: Sequence[Path],
+    spool: IO[bytes],
+    side: int,
+    fps: float | None,
+    crop: tuple[int, int, int, int],
+    mapped: str,
+) -> tuple[list[UInt8[np.ndarray, "_ H W 3"]], float, float]:
+    """Return the frames of each video, in a file; their frames a second; by how much their exposure varied.
+
+    Frames that the file held before are gone.
+    """
+    spool.seek(0)
+    spool.truncate()
+    found = [decode(path, spool, side, fps, crop, 0.0, 1, mapped) for path in sources]
+    ends = np.cumsum([count for count, _ in found])
+    images = np.memmap(spool, np.uint8, "r+", shape=(int(ends[-1]), side, side, 3))
+    clips = np.split(images, ends[:-1])
+    return clips, found[0][1], made_alike(clips, _TRAIN)
+
+
 def _refuse_unlike(videos: Sequence[_Video]) -> None:
     """Refuse videos that no single camera in one place can have recorded."""
     first = videos[0]
@@ -352,19 +379,14 @@ def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[Box, lis
     return (left / w, top / h, (right + 1) / w, (bottom + 1) / h), still
 
 
-def _refuse_tiny(images: UInt8[np.ndarray, "T h w 3"], path: Path) -> None:
-    """Refuse pictures in which the parts that move are hardly a pixel large: no network could find them."""
-    some = images[:: max(1, len(images) // _LOOKED)].astype(np.int16)
-    off = np.max(np.abs(some - np.median(some, axis=0).astype(np.int16)[None]), axis=-1)
+def _needed_side(clips: Sequence[UInt8[np.ndarray, "T H W 3"]]) -> int:
+    """Return the side of pictures in which what moves can be followed: larger ones where it is hardly a pixel large."""
+    images = np.concatenate([clip[:: max(1, len(clip) * len(clips) // _LOOKED)] for clip in clips]).astype(np.int16)
+    off = np.max(np.abs(images - np.median(images, axis=0).astype(np.int16)[None]), axis=-1)
     off = np.maximum(off - 12, 0).reshape(len(off), -1)
     covered = float(np.median(np.sum(off, axis=1) / np.maximum(np.max(off, axis=1), 1)))
-    if covered < _TINY:
-        size = images.shape[1]
-        needed = 8 * math.ceil(size * math.sqrt(2 * _TINY / max(covered, 0.1)) / 8)
-        raise KeycldError(
-            f"what moves in {path} covers {covered:.1f} pixels of pictures of {size} x {size}, too few to be followed: "
-            f"add --size {needed}, or --crop closer around it."
-        )
+    size = images.shape[1]
+    return size if covered >= _TINY else 8 * math.ceil(size * math.sqrt(2 * _TINY / max(covered, 0.1)) / 8)
 
 
 def _square_around(
