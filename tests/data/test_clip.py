@@ -139,6 +139,24 @@ def test_pictures_are_larger_where_parts_are_small(tmp_path):
         assert open_data(clip.folder).train().image.shape[2:] == (clip.size, clip.size, 3)
 
 
+def test_an_upright_video_of_a_long_pendulum_is_seen_from_end_to_end(tmp_path):
+    """A bar of 130 pixels in a picture of 96 x 150: a square of 150, black beside the picture."""
+    row, column = np.mgrid[:150, :96]
+    angle = 0.25 * np.cos(2 * np.pi * np.arange(70) / 40)[:, None, None]
+    along = (column - 48) * np.sin(angle) + (row - 8) * np.cos(angle)
+    bar = (np.abs((column - 48) * np.cos(angle) - (row - 8) * np.sin(angle)) < 4) & (along > -4) & (along < 130)
+    path = video(tmp_path, np.repeat(np.where(bar, 220, 90).astype(np.uint8)[..., None], 3, axis=-1))
+    clip = import_clip(path, tmp_path / "a", constraints="pendulum", size=None)
+    left, top, side, _ = clip.crop
+    assert (left, top, side) == (-27, 0, 150)
+    data = open_data(clip.folder)
+    image, edge = data.train().image[0], round(27 * 64 / 150)
+    assert image[:, :, : edge - 1].max() < 5 and image[:, :, -edge + 1 :].max() < 5
+    assert image[:, 60, edge + 2 : -edge - 2].min() > 70 and image[:, 55].max() > 180
+    again = read(clip_file(path, tmp_path / "b.h5", data.attributes, 64))
+    np.testing.assert_array_equal(again.image[0, : len(image)], image)
+
+
 def test_long_parts_become_recordings_of_equal_length(tmp_path):
     path = video(tmp_path, swing())
     import_clip(path, tmp_path / "a", constraints="pendulum", size=32, crop=(32, 0, 96, 96), longest=20)

@@ -15,7 +15,7 @@ from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
 from keycld.data.imports.clip import is_clip, kept_rate
 from keycld.data.imports.exposure import Usual
-from keycld.data.imports.video import unreadable
+from keycld.data.imports.video import crop_filter, unreadable
 
 
 class Seen(NamedTuple):
@@ -50,11 +50,11 @@ def camera_frames(
     source = Path(source)
     camera = _is_camera(source)
     rate, options = _camera(source, like) if camera else _played(source, like)
-    left, top, side, _ = (int(number) for number in like["crop"])
+    cropped = crop_filter(like["crop"], *(int(side) for side in like["video_size"]))
     mapped = f"{like['mapped']}," if like.get("mapped") else ""
     # Both sizes in one picture, the smaller one below; of the same filter as in the import.
     filters = (
-        f"fps={rate},{mapped}crop={side}:{side}:{left}:{top},split[a][b];[a]scale={size}:{size}:flags=area,"
+        f"fps={rate},{mapped}{cropped},split[a][b];[a]scale={size}:{size}:flags=area,"
         f"pad={view}:{size}[small];[b]scale={view}:{view}:flags=bicubic[large];[large][small]vstack"
     )
     shape = (view + size, view, 3)

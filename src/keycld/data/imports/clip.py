@@ -20,6 +20,7 @@ from keycld.data.imports.overlays import Box, overlays, painted_over, pixels_of
 from keycld.data.imports.plane import Plane, plane_filter
 from keycld.data.imports.video import (
     as_trajectories,
+    check_crop,
     check_size_and_rate,
     constraints_text,
     decode,
@@ -52,7 +53,8 @@ class ImportedClip(NamedTuple):
 
     Attributes:
         folder: the data set.
-        crop: left, top, width and height of the part that is kept, pixels of the videos.
+        crop: left, top, width and height of the part that is kept, pixels of the videos; it may reach beyond them,
+            where the pictures are black.
         size: pixels of a side of the pictures.
         fps: frames a second of the recordings, in the time of the camera.
         frames: of training, validation and test, of all videos.
@@ -127,7 +129,9 @@ def import_clip(
     first = videos[0]
     corners = np.array([video.part for video in videos])
     part = (*corners[:, :2].min(axis=0).tolist(), *corners[:, 2:].max(axis=0).tolist())
-    chosen = _square_around(part, first.width, first.height) if crop is None else crop
+    if crop is not None:
+        check_crop(crop, first.width, first.height, sources[0])
+    chosen = crop or _square_around(part, first.width, first.height)
     every = max(1, math.ceil(max(video.seconds for video in videos) * first.rate / _MOST))
     painted = [pixels_of(box, first.width, first.height) for video in videos for box in video.overlays]
     filters = [] if plane is None else [plane_filter(plane, plane_ratio, first.width, first.height)]
@@ -235,8 +239,6 @@ def kept_rate(video: Path, like: Mapping[str, Any]) -> tuple[Fraction, Fraction,
     """
     if not is_clip(like):
         raise KeycldError(f"{video} is a video, but the model learned from other data: give an HDF5 file.")
-    if not video.is_file():
-        raise KeycldError(f"there is no video {video}: check the path.")
     width, height, rate, seconds = probe(video)
     own = tuple(int(side) for side in like["video_size"])
     if (width, height) != own:
@@ -256,8 +258,6 @@ def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
     Raises:
         KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut; a bad plane.
     """
-    if not path.is_file():
-        raise KeycldError(f"there is no video {path}: check the path.")
     width, height, rate, seconds = probe(path)
     mapped = "" if plane is None else f"{plane_filter(plane, plane_ratio, width, height)},"
     grey = _grey(path, width, height, rate, seconds, mapped)
@@ -392,9 +392,18 @@ def _needed_side(clips: Sequence[UInt8[np.ndarray, "T H W 3"]]) -> int:
 def _square_around(
     part: tuple[float, float, float, float], width: int, height: int, margin: float = 0.15
 ) -> tuple[int, int, int, int]:
-    """Return left, top, width and height of the square around a part, with a margin, inside of the picture."""
+    """Return left, top, width and height of the square around a part, with a margin, inside of the picture.
+
+    It reaches beyond the picture to both sides where the part is longer than that is wide, as in upright videos.
+    """
     left, top, right, bottom = part[0] * width, part[1] * height, part[2] * width, part[3] * height
-    side = min(width, height, round((1 + 2 * margin) * max(right - left, bottom - top)))
-    side = max(8, side)
+    longest = max(right - left, bottom - top)
+    most = min(width, height) if longest <= min(width, height) else max(width, height)
+    side = max(8, min(most, round((1 + 2 * margin) * longest)))
     x, y = round((left + right - side) / 2), round((top + bottom - side) / 2)
-    return min(max(x, 0), width - side), min(max(y, 0), height - side), side, side
+    return _inside(x, side, width), _inside(y, side, height), side, side
+
+
+def _inside(first: int, side: int, length: int) -> int:
+    """Return where a side of a square begins to be inside of a length, or to reach beyond it to both ends alike."""
+    return min(max(first, 0), length - side) if side <= length else (length - side) // 2

@@ -80,6 +80,9 @@ def import_video(
     text = None if constraints is None else constraints_text(constraints)
     make_folder(out.parent)
     # The pictures wait on the disk without a name, so that a video may be larger than memory and a kill leaves nothing.
+    if crop is not None:
+        for source in sources:
+            check_crop(crop, *probe(source)[:2], source)
     with spool_in(out.parent) as spool:
         spans = [decode(source, spool, size, fps, crop, skip, frames) for source in sources]
         rates = {round(rate, 3) for _, rate in spans}
@@ -174,7 +177,13 @@ def _check_numbers(
 
 
 def probe(path: Path) -> tuple[int, int, Fraction, float]:
-    """Read width, height, frames a second as ffmpeg decodes the video (turned upright), and the seconds it claims."""
+    """Read width, height, frames a second as ffmpeg decodes the video (turned upright), and the seconds it claims.
+
+    Raises:
+        KeycldError: no such file, not a video.
+    """
+    if not path.is_file():
+        raise KeycldError(f"there is no video {path}: check the path.")
     # The first line of this simple format is, for example, "YUV4MPEG2 W96 H64 F25:1 Ip A0:0 ...".
     options = ["-v", "info", *input_options(path), "-frames:v", "1", "-pix_fmt", "yuv420p", "-f", "yuv4mpegpipe", "-"]
     try:
@@ -219,19 +228,19 @@ def decode(
 ) -> tuple[int, float]:
     """Append the recordings uint8 [N, frames, size, size, 3] of a video to a file; return N and frames a second.
 
-    `mapped` is an ffmpeg filter that comes before the crop, such as `plane_filter`.
+    `mapped` is an ffmpeg filter that comes before the crop, such as `plane_filter`. Without a crop it is the largest
+    square in the middle.
     """
-    if not path.is_file():
-        raise KeycldError(f"there is no video {path}: check the path.")
     width, height, own, seconds = probe(path)
     rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
     if not 0 < rate <= own + Fraction(1, 1000):
         raise KeycldError(f"--fps is above 0 and at most the {float(own):g} of {path}, not {fps}.")
-    left, top, side = _square(crop, width, height, path)
+    least = min(width, height)
+    crop = crop or ((width - least) // 2, (height - least) // 2, least, least)
     # The rate comes first: it also makes the uneven frame times of phones equal. A gap of years in them would give
     # frames without end; no format spends less than some bytes on a frame of its own.
     before = f"{mapped}," if mapped else ""
-    filters = f"fps={rate},{before}crop={side}:{side}:{left}:{top},scale={size}:{size}:flags=area"
+    filters = f"fps={rate},{before}{crop_filter(crop, width, height)},scale={size}:{size}:flags=area"
     most, frame, count = 10_000 + path.stat().st_size // 8, size * size * 3, 0
     expected = math.ceil(max(0.0, seconds - skip) * rate)
     progress = Counted(path.name[:12])
@@ -258,18 +267,27 @@ def decode(
     return count // frames, float(rate)
 
 
-def _square(crop: tuple[int, int, int, int] | None, width: int, height: int, path: Path) -> tuple[int, int, int]:
-    """Compute left, top and side of the part to keep."""
-    if crop is None:
-        side = min(width, height)
-        return (width - side) // 2, (height - side) // 2, side
+def crop_filter(crop: Sequence[int], width: int, height: int) -> str:
+    """Return the ffmpeg filter that keeps a square, pixels of a video of this size; beyond the picture it is black."""
+    left, top, side, _ = (int(number) for number in crop)
+    x, y = max(0, -left), max(0, -top)
+    wide, high = max(width + x, left + x + side), max(height + y, top + y + side)
+    pad = "" if (wide, high) == (width, height) else f"pad={wide}:{high}:{x}:{y},"
+    return f"{pad}crop={side}:{side}:{left + x}:{top + y}"
+
+
+def check_crop(crop: tuple[int, int, int, int], width: int, height: int, path: Path) -> None:
+    """Refuse a part to keep that is no square, or not inside of the picture.
+
+    Raises:
+        KeycldError: names the option.
+    """
     left, top, crop_width, crop_height = crop
     if crop_width != crop_height:
         raise KeycldError(f"--crop is a square, not {crop_width} x {crop_height}: make both the same.")
     if crop_width < 1 or min(left, top) < 0 or left + crop_width > width or top + crop_height > height:
         place = " ".join(map(str, crop))
         raise KeycldError(f"--crop {place} does not lie inside the {width} x {height} pixels of {path}.")
-    return left, top, crop_width
 
 
 def _counts(recordings: int, validation: float, test: float, frames: int) -> tuple[int, int, int]:
