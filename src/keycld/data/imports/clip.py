@@ -263,8 +263,8 @@ def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
     grey = _grey(path, width, height, rate, seconds, mapped)
     if len(grey) < _FEWEST:
         raise KeycldError(f"{path} has {len(grey)} frames, but {_FEWEST} are the least: record a longer video.")
-    made_alike([grey[..., None]])
     _refuse_cuts(grey, path)
+    made_alike([grey[..., None]])
     return _Video(path, width, height, rate, seconds, *_moving_part(grey, path))
 
 
