@@ -281,7 +281,7 @@ def test_a_clip_that_no_network_learns_is_measured_on_the_middles_of_its_parts(t
     assert found["length_pivot_ball_m"] == pytest.approx(0.24)
     assert physics["given"] == {"length_pivot_ball_m": 0.24}
     page = (tmp_path / "run" / "report.html").read_text()
-    assert "Failed" in page and "Caution: no network" in page and "pivot_x" in page
+    assert "<h1>Run</h1>" in page and "Failed" in page and "Caution: no network" in page and "pivot_x" in page
 
     monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [])
     assert main(command) == 2

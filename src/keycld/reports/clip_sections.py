@@ -15,7 +15,7 @@ def head(run: Run) -> str:
     result = run.motion
     assert result is not None
     scores = result.scores
-    name = html.text(run.folder.resolve().name.capitalize())
+    name = html.text(run.name.capitalize())
     facts = {"frames/s": f"{1 / scores['dt']:.4g}", "seed": run.config.get("seed", "–")}
     if run.physics is not None and run.physics["mechanism"]:
         facts = {"mechanism": run.physics["mechanism"], **facts}

@@ -28,7 +28,7 @@ def vpt_sentence(metric: str) -> str:
 def head(run: Run, sections: str) -> str:
     """Show the title, a summary in one sentence, the headline score next to its baselines, and the first movie."""
     config = run.config
-    system = str(config.get("system", "a system"))
+    system = run.name
     facts = [
         ("model", MODEL_TITLES.get(str(config.get("model")), config.get("model", "–"))),
         ("preset", config.get("preset", "–")),

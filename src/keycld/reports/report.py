@@ -57,7 +57,7 @@ def write_report(run_folder: str | Path) -> Path:
 
 
 def _write(run: Run, folder: Path) -> Path:
-    title = f"{run.config.get('system', 'run')} · KeyCLD"
+    title = f"{run.name} · KeyCLD"
     if run.motion is None or run.failed:
         sections = "".join(section(run) for section in (_OF_FAILURE if run.failed else _SECTIONS))
         body = prediction_sections.head(run, sections) + sections

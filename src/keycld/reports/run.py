@@ -43,6 +43,12 @@ class Run:
     physics: Physics | None = None
 
     @property
+    def name(self) -> str:
+        """The name of the system; that of the folder for a clip, because its data are called `data`."""
+        clip = self.motion is not None or self.physics is not None
+        return self.folder.resolve().name if clip else str(self.config.get("system", "a system"))
+
+    @property
     def headline(self) -> Evaluation | None:
         """The evaluation at the top of the page: test recordings at the paper's horizon, if there are any."""
         if not self.evaluations:
