@@ -2,7 +2,7 @@
 
 python validation/watched_clips.py OUT [--only NAME ...] [--table FILE.json]     results/watched-clips.json
 
-Each clip is drawn (`drawn_clips.py`) or plotted (`plotted_clips.py`), watched through the command line with the
+Each clip is drawn (`drawn_clips.py`, `plotted_clips.py`, `phone_clips.py`), watched through the command line with the
 mechanism told and nothing else, and its physics.json compared with the truth. Clips that are done are not watched
 again. Periods should be within 1 %, viscous rates within 10 %, and the intervals of one and two standard errors hold
 68 and 95 % of all constants.
@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from validation.drawn_clips import KINDS, Camera, Drawn, drawn
+from validation.phone_clips import PHONE
 from validation.plotted_clips import PLOTTED
 
 from keycld.drawing import save_movie
@@ -55,6 +56,9 @@ CLIPS = (
     Clip("plotted_discs", 300, Camera()),
     Clip("plotted_line", 300, Camera()),
     Clip("plotted_trace", 300, Camera()),
+    Clip("phone_pendulum", 300, Camera()),
+    Clip("phone_spring", 300, Camera()),
+    Clip("phone_double", 300, Camera(480, 60.0)),
 )
 KEYCLD = Path(sys.executable).with_name("keycld")
 LIMITS = {"period": 0.01, "viscous_rate": 0.1}
@@ -89,9 +93,10 @@ def watched(clip: Clip, out: Path) -> dict[str, Any]:
 
 def _made(clip: Clip) -> tuple[Drawn, str]:
     """Return a clip with its truth, and the mechanism that it shows."""
-    if clip.kind in PLOTTED:
-        plot, mechanism = PLOTTED[clip.kind]
-        return plot(np.random.default_rng(clip.seed), clip.camera), mechanism
+    others = PLOTTED | PHONE
+    if clip.kind in others:
+        make, mechanism = others[clip.kind]
+        return make(np.random.default_rng(clip.seed), clip.camera), mechanism
     return drawn(clip.kind, clip.seed, clip.camera), KINDS[clip.kind][1]
 
 
