@@ -140,7 +140,7 @@ def test_pictures_are_larger_where_parts_are_small(tmp_path):
 
 
 def test_an_upright_video_of_a_long_pendulum_is_seen_from_end_to_end(tmp_path):
-    """A bar of 130 pixels in a picture of 96 x 150: a square of 150, black beside the picture."""
+    """A bar of 130 pixels in a picture of 96 x 150: a square of 150, with the ground on both sides of the picture."""
     row, column = np.mgrid[:150, :96]
     angle = 0.25 * np.cos(2 * np.pi * np.arange(70) / 40)[:, None, None]
     along = (column - 48) * np.sin(angle) + (row - 8) * np.cos(angle)
@@ -151,8 +151,9 @@ def test_an_upright_video_of_a_long_pendulum_is_seen_from_end_to_end(tmp_path):
     assert (left, top, side) == (-27, 0, 150)
     data = open_data(clip.folder)
     image, edge = data.train().image[0], round(27 * 64 / 150)
-    assert image[:, :, : edge - 1].max() < 5 and image[:, :, -edge + 1 :].max() < 5
-    assert image[:, 60, edge + 2 : -edge - 2].min() > 70 and image[:, 55].max() > 180
+    for side in (image[:, :, : edge - 1], image[:, :, -edge + 1 :]):
+        assert 80 < side.min() and side.max() < 100
+    assert image[:, 55].max() > 180
     again = read(clip_file(path, tmp_path / "b.h5", data.attributes, 64))
     np.testing.assert_array_equal(again.image[0, : len(image)], image)
 

@@ -54,7 +54,7 @@ class ImportedClip(NamedTuple):
     Attributes:
         folder: the data set.
         crop: left, top, width and height of the part that is kept, pixels of the videos; it may reach beyond them,
-            where the pictures are black.
+            where their border is continued.
         size: pixels of a side of the pictures.
         fps: frames a second of the recordings, in the time of the camera.
         frames: of training, validation and test, of all videos.

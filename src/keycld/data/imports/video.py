@@ -268,12 +268,18 @@ def decode(
 
 
 def crop_filter(crop: Sequence[int], width: int, height: int) -> str:
-    """Return the ffmpeg filter that keeps a square, pixels of a video of this size; beyond the picture it is black."""
+    """Return the ffmpeg filter that keeps a square, pixels of a video of this size.
+
+    Beyond the picture its border is continued: beside a black edge no network found a small ball.
+    """
     left, top, side, _ = (int(number) for number in crop)
     x, y = max(0, -left), max(0, -top)
     wide, high = max(width + x, left + x + side), max(height + y, top + y + side)
-    pad = "" if (wide, high) == (width, height) else f"pad={wide}:{high}:{x}:{y},"
-    return f"{pad}crop={side}:{side}:{left + x}:{top + y}"
+    beyond = ""
+    if (wide, high) != (width, height):
+        borders = f"left={x}:top={y}:right={wide - width - x}:bottom={high - height - y}"
+        beyond = f"pad={wide}:{high}:{x}:{y},fillborders={borders}:mode=smear,"
+    return f"{beyond}crop={side}:{side}:{left + x}:{top + y}"
 
 
 def check_crop(crop: tuple[int, int, int, int], width: int, height: int, path: Path) -> None:
