@@ -278,7 +278,8 @@ def crop_filter(crop: Sequence[int], width: int, height: int) -> str:
     beyond = ""
     if (wide, high) != (width, height):
         borders = f"left={x}:top={y}:right={wide - width - x}:bottom={high - height - y}"
-        beyond = f"pad={wide}:{high}:{x}:{y},fillborders={borders}:mode=smear,"
+        # With colours of half the resolution, borders would begin at even numbers only.
+        beyond = f"format=yuv444p,pad={wide}:{high}:{x}:{y},fillborders={borders}:mode=smear,"
     return f"{beyond}crop={side}:{side}:{left + x}:{top + y}"
 
 
