@@ -203,7 +203,11 @@ def test_a_comparison_whose_clip_is_refused_later_stays_for_no_other_clip(tmp_pa
     monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [discovery.Judged(circle, 0.01, True)])
     video(tmp_path / "swing.mp4", swing())
     command = ["watch", str(tmp_path / "swing.mp4"), "--mechanism", "auto", "--out", str(tmp_path / "run")]
-    for wrong, sentence in ((["--size", "20"], "multiple of 8"), (["--length", "a-b = 1 m"], "no length a-b")):
+    for wrong, sentence in (
+        (["--size", "20"], "multiple of 8"),
+        (["--size", "0"], "multiple of 8, not 0"),
+        (["--length", "a-b = 1 m"], "no length a-b"),
+    ):
         assert main([*command, *wrong]) == 2
         assert sentence in capsys.readouterr().err
         assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]

@@ -123,7 +123,8 @@ def import_clip(
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     text = None if constraints is None else constraints_text(constraints)
-    check_size_and_rate(size or _SMALLEST, fps)
+    side = _SMALLEST if size is None else size
+    check_size_and_rate(side, fps)
     videos = [_looked_at(path, plane, plane_ratio) for path in sources]
     _refuse_unlike(videos)
     first = videos[0]
@@ -138,7 +139,7 @@ def import_clip(
     mapped = ",".join([*filters, painted_over(painted)] if painted else filters)
     make_folder(out.parent)
     with spool_in(out.parent) as spool:
-        asked, side = None if every == 1 else float(first.rate / every), size or _SMALLEST
+        asked = None if every == 1 else float(first.rate / every)
         clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
         needed = side if constraints is None else _needed_side(clips)
         if size is None and side < needed <= _LARGEST:
