@@ -380,7 +380,7 @@ def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[Box, lis
     return (left / w, top / h, (right + 1) / w, (bottom + 1) / h), still
 
 
-def _needed_side(clips: Sequence[UInt8[np.ndarray, "T H W 3"]]) -> int:
+def _needed_side(clips: Sequence[UInt8[np.ndarray, "_ H W 3"]]) -> int:
     """Return the side of pictures in which what moves can be followed: larger ones where it is hardly a pixel large."""
     images = np.concatenate([clip[:: max(1, len(clip) * len(clips) // _LOOKED)] for clip in clips]).astype(np.int16)
     off = np.max(np.abs(images - np.median(images, axis=0).astype(np.int16)[None]), axis=-1)
