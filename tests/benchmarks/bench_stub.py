@@ -1,6 +1,6 @@
 """The process of one experiment with quick stubs for data, training and scores, which note what they did.
 
-`python bench_stub.py PARENT EXPERIMENT ROOT RESULTS`, as `keycld.benchmarks.child`. The file ROOT/behaviour.json may
+`python bench_stub.py PARENT ROOT RESULTS EXPERIMENT…`, as `keycld.benchmarks.child`. The file ROOT/behaviour.json may
 name what happens in the middle of an experiment's training: `raise`, `kill`, `hang`.
 """
 
@@ -45,7 +45,7 @@ def make_data(experiment, place):
         write(folder / "statistics.json", {"splits": {"train": TRAIN}, "recipe": {"system": folder.name, "splits": []}})
 
 
-def train_model(experiment, place):
+def train_model(experiment, place, member):
     run = place.run(experiment)
     behaviour = place.root / "behaviour.json"
     fate = json.loads(behaviour.read_text()).get(experiment.name) if behaviour.exists() else None

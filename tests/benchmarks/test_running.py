@@ -97,7 +97,7 @@ def test_two_at_once_do_not_take_the_same_experiment(place):
     with locked(place.run(first) / "bench.lock"):
         # First seen by `bench run`, then by its child, if the other process was faster by a moment.
         counts = run_experiments([first], place, child=STUB, say=lines.append)
-        late = [*STUB, str(os.getpid()), first.to_json(), str(place.root), str(place.results)]
+        late = [*STUB, str(os.getpid()), str(place.root), str(place.results), first.to_json()]
         assert subprocess.run(late, check=False).returncode == 75
     assert counts == {"running": 1} and f"process {os.getpid()}" in lines[1]
     assert bench_stub.notes(place.root) == []

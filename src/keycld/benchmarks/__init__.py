@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from keycld.benchmarks.run_figures import observation_sheet as observation_sheet
     from keycld.benchmarks.run_figures import potential_figures as potential_figures
     from keycld.benchmarks.running import AbstractRunner as AbstractRunner
+    from keycld.benchmarks.running import AtOnce as AtOnce
     from keycld.benchmarks.running import Here as Here
     from keycld.benchmarks.running import run_experiments as run_experiments
     from keycld.benchmarks.scoreboard import Board as Board
@@ -57,6 +58,7 @@ __all__ = [
     "model_title",
     "SUITES",
     "AbstractRunner",
+    "AtOnce",
     "Board",
     "DataRecipe",
     "Experiment",

@@ -1,6 +1,6 @@
-"""The process of one experiment: data, training, scores, result. `bench run` runs one after the other.
+"""The process of one experiment, or of several that train together: data, training, scores, result.
 
-`python -m keycld.benchmarks.child PARENT EXPERIMENT ROOT RESULTS`; `running` has its exit codes.
+`python -m keycld.benchmarks.child PARENT ROOT RESULTS EXPERIMENT…`; `running` has its exit codes.
 """
 
 import contextlib
@@ -10,8 +10,9 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import TypedDict
+from typing import TYPE_CHECKING, TypedDict
 
 from keycld._files import aside_of, discard_partial, remove_orphans
 from keycld._lock import locked
@@ -22,23 +23,41 @@ from keycld.benchmarks.results import condense, read_json, record_failure, write
 from keycld.benchmarks.running import DONE, FAILED, INTERRUPTED, TAKEN
 from keycld.benchmarks.status import LOCK, LOG, status_of
 
+if TYPE_CHECKING:
+    from keycld.training import Member
+
 _NOTES = "bench.json"
 
 
 def main(arguments: list[str]) -> int:
-    """Do the experiment, unless it is done or another process does it; return one of the exit codes of `running`."""
-    parent, text, root, results = arguments
+    """Do the experiments, except those that are done or that other processes do; return an exit code of `running`."""
+    parent, root, results, *texts = arguments
     threading.Thread(target=_exit_with, args=(int(parent),), daemon=True).start()
-    experiment, place = Experiment.from_json(text), Place(Path(root), Path(results))
-    with locked(place.run(experiment) / LOCK) as mine:
-        if not mine:
-            return TAKEN
-        if status_of(experiment, place).word == "done":
-            return DONE
-        return _attempt(experiment, place)
+    experiments, place = [Experiment.from_json(text) for text in texts], Place(Path(root), Path(results))
+    if len(experiments) == 1:
+        return _do(experiments[0], place, None)
+    from keycld.training import Together
+
+    with ThreadPoolExecutor(len(experiments)) as threads:
+        members = Together(len(experiments)).members
+        codes = set(threads.map(lambda experiment, member: _do(experiment, place, member), experiments, members))
+    return next(code for code in (FAILED, TAKEN, DONE) if code in codes)
 
 
-def _attempt(experiment: Experiment, place: Place) -> int:
+def _do(experiment: Experiment, place: Place, member: "Member | None") -> int:
+    try:
+        with locked(place.run(experiment) / LOCK) as mine:
+            if not mine:
+                return TAKEN
+            if status_of(experiment, place).word == "done":
+                return DONE
+            return _attempt(experiment, place, member)
+    finally:
+        if member is not None:
+            member.leave()
+
+
+def _attempt(experiment: Experiment, place: Place, member: "Member | None") -> int:
     stage = "preparation"
     try:
         notes = _Notes(experiment, place)
@@ -47,9 +66,11 @@ def _attempt(experiment: Experiment, place: Place) -> int:
             make_data(experiment, place)
         stage = "training"
         with notes.timed(stage):
-            train_model(experiment, place)
+            train_model(experiment, place, member)
+        if member is not None:
+            member.leave()
         stage = "evaluation"
-        with notes.timed(stage):
+        with contextlib.nullcontext() if member is None else member.turn, notes.timed(stage):
             evaluate_model(experiment, place)
         stage = "recording"
         write_json(place.result(experiment), condense(experiment, place, notes.seconds))
@@ -112,14 +133,15 @@ def make_data(experiment: Experiment, place: Place) -> None:
     experiment.data.make(place.data(experiment))
 
 
-def train_model(experiment: Experiment, place: Place) -> None:
+def train_model(experiment: Experiment, place: Place, member: "Member | None") -> None:
     """Train to the end, from the newest checkpoint if there is one."""
     from keycld.training import finished, read_verdict, train
 
     run = place.run(experiment)
     # The verdict is written after the last checkpoint.
     if not finished(run) or read_verdict(run) is None:
-        train(place.data(experiment), run, experiment.config(), seed=experiment.seed, minutes=experiment.minutes)
+        config, minutes = experiment.config(), experiment.minutes
+        train(place.data(experiment), run, config, seed=experiment.seed, minutes=minutes, member=member)
 
 
 def evaluate_model(experiment: Experiment, place: Place) -> None:

@@ -100,4 +100,4 @@ def _task(experiment: Experiment, place: Place, child: Sequence[str]) -> float:
     until = time.monotonic() + _SETTLING_SECONDS
     while holder(place.run(experiment) / LOCK) is not None and time.monotonic() < until:
         time.sleep(0.1)
-    return attempt(experiment, place, child)
+    return attempt([experiment], place, child)

@@ -1,4 +1,4 @@
-"""Running of experiments that are missing, stale or failed, each in its own process."""
+"""Running of experiments that are missing, stale or failed, in processes of their own."""
 
 import abc
 import contextlib
@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
@@ -49,7 +50,34 @@ class Here(AbstractRunner):
     ) -> Iterator[tuple[Experiment, float, int]]:
         """Attempt all experiments, as the abstract method says."""
         for experiment in experiments:
-            yield experiment, attempt(experiment, place, child), 1
+            yield experiment, attempt([experiment], place, child), 1
+
+
+@dataclass(frozen=True)
+class AtOnce(AbstractRunner):
+    """Several of one model and preset at a time, in one process in which they take their training steps together.
+
+    For a GPU: `keycld.training.Together` says why.
+
+    Attributes:
+        most: how many at a time.
+    """
+
+    most: int
+
+    def each(
+        self, experiments: Sequence[Experiment], place: Place, child: Sequence[str]
+    ) -> Iterator[tuple[Experiment, float, int]]:
+        """Attempt all experiments, as the abstract method says."""
+        recipes: dict[tuple[str, str], list[Experiment]] = {}
+        for experiment in experiments:
+            recipes.setdefault((experiment.model, experiment.group), []).append(experiment)
+        for alike in recipes.values():
+            for first in range(0, len(alike), self.most):
+                group = alike[first : first + self.most]
+                seconds = attempt(group, place, child)
+                for experiment in group:
+                    yield experiment, seconds, len(group)
 
 
 def run_experiments(
@@ -70,8 +98,8 @@ def run_experiments(
         experiments: what to do, in this order.
         place: where data, runs and results are.
         runner: where they run; by default `Here()`.
-        child: the command of one experiment; its arguments are the id of this process, the experiment, and the two
-            folders of `place`.
+        child: the command of experiments; its arguments are the id of this process, the two folders of `place`, and
+            the experiments.
         say: is called with a line about each experiment.
 
     Returns:
@@ -96,22 +124,26 @@ def run_experiments(
     return count_states(experiments, place)
 
 
-def attempt(experiment: Experiment, place: Place, child: Sequence[str]) -> float:
-    """Do an experiment in a process of its own, unless it is done or running; return the seconds that this took.
+def attempt(experiments: Sequence[Experiment], place: Place, child: Sequence[str]) -> float:
+    """Do experiments in one process, those that are not done or running; return the seconds that this took.
 
     Whatever happens to that process is recorded.
     """
     since = time.monotonic()
-    if status_of(experiment, place).word not in ("done", "running"):
-        code = _do(experiment, place, child)
+    left = [each for each in experiments if status_of(each, place).word not in ("done", "running")]
+    if left:
+        for experiment in left:
+            place.failure(experiment).unlink(missing_ok=True)
+        code = _do(left, place, child)
         if code not in (DONE, FAILED, TAKEN):
-            _record_crash(experiment, place, code)
+            _record_crash(left, place, code)
     return time.monotonic() - since
 
 
-def _do(experiment: Experiment, place: Place, child: Sequence[str]) -> int:
-    arguments = [str(os.getpid()), experiment.to_json(), str(place.root), str(place.results)]
-    with _output(place.run(experiment)) as out:
+def _do(experiments: Sequence[Experiment], place: Place, child: Sequence[str]) -> int:
+    texts = [experiment.to_json() for experiment in experiments]
+    arguments = [str(os.getpid()), str(place.root), str(place.results), *texts]
+    with _output(place.run(experiments[0])) as out:
         process = subprocess.Popen([*child, *arguments], stdin=subprocess.DEVNULL, stdout=out, stderr=out)
         try:
             code = process.wait()
@@ -126,7 +158,7 @@ def _do(experiment: Experiment, place: Place, child: Sequence[str]) -> int:
 
 @contextlib.contextmanager
 def _output(run: Path) -> Iterator[IO[Any]]:
-    """Yield the file for the output of the process: the terminal, or a log in the run folder."""
+    """Yield the file for the output of the process: the terminal, or a log in the (first) run folder."""
     if sys.stderr.isatty():
         yield sys.stderr
     else:
@@ -135,15 +167,18 @@ def _output(run: Path) -> Iterator[IO[Any]]:
             yield file
 
 
-def _record_crash(experiment: Experiment, place: Place, code: int) -> None:
+def _record_crash(experiments: Sequence[Experiment], place: Place, code: int) -> None:
     """Record the failure of a process that ended without a record of its own."""
+    log = place.run(experiments[0]) / LOG
     if code < 0:
         kind = signal.Signals(-code).name
         hint = ", often because memory ran out" if kind == "SIGKILL" else ""
-        sentence = f"the process was ended by signal {-code}{hint}; see {place.run(experiment) / LOG}"
+        sentence = f"the process was ended by signal {-code}{hint}; see {log}"
     else:
-        kind, sentence = "crash", f"the process ended with code {code}; see {place.run(experiment) / LOG}"
-    record_failure(experiment, place, "its process", kind, sentence)
+        kind, sentence = "crash", f"the process ended with code {code}; see {log}"
+    for experiment in experiments:
+        if status_of(experiment, place).word not in ("done", "failed"):
+            record_failure(experiment, place, "its process", kind, sentence)
 
 
 def _outcome(experiment: Experiment, status: Status) -> str:

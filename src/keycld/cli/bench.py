@@ -73,6 +73,7 @@ def run(
     on: Literal["here", "ray"] = "here",
     cpus: float = 1.0,
     gpus: float = 0.0,
+    together: int = 1,
 ) -> None:
     """Run what is missing or has failed: data, training, scores. It may be killed; the same command continues.
 
@@ -82,11 +83,19 @@ def run(
             new one.
         cpus: Processor cores that an experiment reserves on Ray.
         gpus: GPUs that an experiment reserves on Ray; 0.5 lets two share one.
+        together: How many experiments of one model train in one program, which on a GPU takes little longer than one
+            alone; 1 on CPUs, where it would be slower.
     """
-    from keycld.benchmarks import Here, OnRay, run_experiments
+    from keycld.benchmarks import AtOnce, Here, OnRay, run_experiments
 
+    if together < 1 or (together > 1 and (on == "ray" or selection.minutes is not None)):
+        raise KeycldError(
+            f"--together is a number of experiments, at least 1, not {together}."
+            if together < 1
+            else "--together is for whole trainings on this machine: leave out --on ray and --minutes."
+        )
     experiments, place = selection.experiments(), selection.place()
-    runner = OnRay(cpus, gpus) if on == "ray" else Here()
+    runner = OnRay(cpus, gpus) if on == "ray" else AtOnce(together) if together > 1 else Here()
     counts = run_experiments(experiments, place, runner=runner, say=lambda line: print(line, flush=True))
     print(_counts(experiments, place))
     if counts.get("failed"):

@@ -21,13 +21,17 @@ if TYPE_CHECKING:
     from keycld.training.runs import finished as finished
     from keycld.training.runs import load_run as load_run
     from keycld.training.runs import train as train
+    from keycld.training.together import Member as Member
+    from keycld.training.together import Together as Together
 
 __getattr__ = lazily(__name__)
 
 __all__ = [
     "Bar",
     "Counted",
+    "Member",
     "RunConfig",
+    "Together",
     "environment",
     "finished",
     "join",

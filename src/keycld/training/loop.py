@@ -30,7 +30,7 @@ from keycld.training.checkpoints import (
 from keycld.training.devices import Devices
 from keycld.training.processes import agreed
 from keycld.training.run_files import Metrics, write_verdict
-from keycld.training.step import Progress, diagnose, initial_progress, make_step, refreshed
+from keycld.training.step import Progress, Take, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
 
 # As many as between two lines of the log. With one program for a dispatch, its arguments and results pass once.
@@ -64,6 +64,9 @@ class Training:
         profile: trace the second dispatch of each stage; the first one compiles.
         tracker: gets the metrics too.
         renamed: as in `load_arrays`.
+        take: takes the steps.
+        turn: held while something happens between steps.
+        together: how many trainings share the work of this process.
     """
 
     fresh: Callable[[int], AbstractModel]
@@ -82,6 +85,9 @@ class Training:
     profile: bool
     tracker: Tracker
     renamed: Mapping[str, str]
+    take: Take
+    turn: contextlib.AbstractContextManager[Any]
+    together: int
 
     @functools.cached_property
     def before(self) -> list[int]:
@@ -105,8 +111,12 @@ def train_stages(training: Training) -> AbstractModel:
 
 @dataclasses.dataclass
 class _Clock:
-    """Wall seconds, CPU seconds and frames of all processes that worked on this run."""
+    """Wall seconds, CPU seconds and frames of all processes that worked on this run.
 
+    Trainings that share the work of a process share its CPU seconds.
+    """
+
+    together: int
     seconds: float = 0.0
     cpu_seconds: float = 0.0
     frames: int = 0
@@ -117,7 +127,7 @@ class _Clock:
     def tick(self) -> None:
         wall, cpu = time.monotonic(), time.process_time()
         self.seconds += wall - self._wall
-        self.cpu_seconds += cpu - self._cpu
+        self.cpu_seconds += (cpu - self._cpu) / self.together
         self._wall, self._cpu = wall, cpu
 
 
@@ -138,7 +148,7 @@ class _Trainer:
 
     def __init__(self, training: Training):
         self.training = training
-        self.number, self.clock = 0, _Clock()
+        self.number, self.clock = 0, _Clock(training.together)
         # What each attempt before this one has failed in.
         self.failures: list[str] = []
         self.data = training.source.at(0)
@@ -157,7 +167,7 @@ class _Trainer:
         """Continue from a checkpoint, and return the step of the stage."""
         training, position = self.training, read_position(checkpoint)
         self.number, step = position["stage"], position["step"]
-        self.clock = _Clock(position["seconds"], position["cpu_seconds"], position["frames"])
+        self.clock = _Clock(training.together, position["seconds"], position["cpu_seconds"], position["frames"])
         self.failures = position.get("failures", [])
         blank = training.blank(position.get("changes", {}))
         self.model = load_arrays(checkpoint / WEIGHTS, blank, training.renamed)
@@ -183,12 +193,15 @@ class _Trainer:
         while self.number < len(training.stages):
             stage = training.stages[self.number]
             values = self._train(stage)
-            if stage.judge is not None and (failure := stage.judge(self.model, self.data, values)):
+            with training.turn:
+                failure = None if stage.judge is None else stage.judge(self.model, self.data, values)
+            if failure:
                 # Not saved: a run that resumes here fails in the same way.
                 self._restart(f"{stage.name}: {failure}")
                 continue
             if stage.validate:
-                scores = training.validate(self.model)
+                with training.turn:
+                    scores = training.validate(self.model)
                 self.clock.tick()
                 self._record(stage.steps, scores)
                 print("validation   " + "  ".join(f"{k} {v:.3f}" for k, v in scores.items()), flush=True)
@@ -226,7 +239,8 @@ class _Trainer:
                 chunk = min(chunk, stage.every - done % stage.every)
                 # Before the step and not after the last one, so that a run which resumes here repeats it.
                 if done and done % stage.every == 0:
-                    self.model, self.data = _changed(stage.refresh, self._whole(current, rest), self.data)
+                    with training.turn:
+                        self.model, self.data = _changed(stage.refresh, self._whole(current, rest), self.data)
                     current, rest = refreshed(stage, self.model, current)
             traced = training.profile and dispatches == 1
             with self._profiler(stage) if traced else _NOTHING:
@@ -268,7 +282,7 @@ class _Trainer:
         alternative = compiled
         if stage.alternative is not None:
             alternative = _compiled(dataclasses.replace(stage, loss=stage.alternative), drawn, training)
-        current, rest, self.data = _best(stage, models, self.data, (compiled, alternative), training.devices)
+        current, rest, self.data = _best(stage, models, self.data, (compiled, alternative), training)
         self.clock.frames += per_step * int(current.step) * len(models)
         return current, rest
 
@@ -329,7 +343,9 @@ class _Trainer:
 
 def _compiled(stage: Stage, drawn: int, training: Training) -> Callable[[int], Run]:
     """Return what gives the compiled function of a number of steps."""
-    return functools.cache(functools.partial(make_step, stage, drawn, training.seed, devices=training.devices))
+    return functools.cache(
+        functools.partial(make_step, stage, drawn, training.seed, devices=training.devices, take=training.take)
+    )
 
 
 def _attempt(failures: list[str]) -> str:
@@ -342,15 +358,16 @@ def _best(
     models: list[AbstractModel],
     data: Resident,
     compiled: tuple[Callable[[int], Run], Callable[[int], Run]],
-    devices: Devices,
+    training: Training,
 ) -> tuple[Progress, Any, Resident]:
     """Return the initial state of the stage; of several models, the state of the best one after the stage's trial.
 
     The first of the two losses is for models with an even number, the second for the others.
     """
-    found = []
+    found, devices = [], training.devices
     for number, model in enumerate(models):
-        prepared, resident = (model, data) if stage.prepare is None else _changed(stage.prepare, model, data)
+        with training.turn:
+            prepared, resident = (model, data) if stage.prepare is None else _changed(stage.prepare, model, data)
         progress, rest = initial_progress(stage, prepared)
         # The last step is in no trial, because the terms that are logged there are judged.
         losses, trial = [], min(stage.trial, stage.steps - 1)

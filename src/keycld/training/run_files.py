@@ -44,6 +44,7 @@ class RunConfig:
         devices: number of devices that shared each batch.
         minutes: time that the steps were shortened to; None: they were not.
         share: of the recipe's steps; `settings` has what is left of them.
+        together: number of trainings that took their steps in one program, this one included.
         schema_version: version of this file's format; earlier ones are migrated on reading.
     """
 
@@ -63,12 +64,22 @@ class RunConfig:
     devices: int = 1
     minutes: float | None = None
     share: float = 1.0
+    together: int = 1
     schema_version: int = SCHEMA_VERSION
 
     def decides(self) -> dict[str, Any]:
         """Return the part that must be equal for a run to be resumed."""
         fields = dataclasses.asdict(self)
-        for name in ("command", "checkpoint_seconds", "devices", "data", "input_names", "epsilon", "schema_version"):
+        for name in (
+            "command",
+            "checkpoint_seconds",
+            "devices",
+            "together",
+            "data",
+            "input_names",
+            "epsilon",
+            "schema_version",
+        ):
             del fields[name]
         return json.loads(json.dumps(fields))
 

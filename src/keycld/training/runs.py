@@ -28,6 +28,8 @@ from keycld.training.loop import STEPS_PER_DISPATCH, Training, train_stages
 from keycld.training.memory import keep_freed_memory
 from keycld.training.processes import agreed_number, check_equal, check_first, leads, own_folder
 from keycld.training.run_files import RunConfig, open_run, read_config, refuse_failed
+from keycld.training.step import take_steps
+from keycld.training.together import Member
 from keycld.training.trackers import make_tracker
 
 # Largest number of trajectories in the validation score.
@@ -48,6 +50,7 @@ def train(
     log_every: int = 25,
     keep: int = 2,
     profile: bool = False,
+    member: Member | None = None,
 ) -> AbstractModel:
     """Train a model and write all results to the folder `out`; the same call resumes a killed run.
 
@@ -68,6 +71,7 @@ def train(
         log_every: steps between lines of `metrics.jsonl`.
         keep: number of checkpoints to keep.
         profile: write a trace of JAX's profiler for the second dispatch of each stage to `out/profile/STAGE`.
+        member: of several trainings, each in a thread of its own, that take their steps together (`Together`).
 
     Returns:
         the trained model.
@@ -81,7 +85,12 @@ def train(
         raise KeycldError(f"--log-every is a number of steps, at least 1, not {log_every}.")
     if not checkpoint_seconds >= 0:
         raise KeycldError(f"--checkpoint-seconds is a number of at least 0, not {checkpoint_seconds:g}.")
+    if member is not None and minutes is not None:
+        raise KeycldError(
+            "--minutes cannot be measured where several trainings take their steps together: leave it out."
+        )
     keep_freed_memory()
+    together = 1 if member is None else len(member.group.members)
     shared = use_devices(devices)
     folder, dataset = Path(out), open_data(data)
     config = (config or config_for()).completed(dataset)
@@ -117,6 +126,7 @@ def train(
         devices=devices,
         minutes=minutes,
         share=share,
+        together=together,
         command=shlex.join(sys.argv),
     )
     check_equal(json.dumps(run.decides()), "settings or data")
@@ -154,6 +164,9 @@ def train(
                     profile=profile,
                     tracker=tracker,
                     renamed=config.RENAMED,
+                    take=take_steps if member is None else member.take,
+                    turn=contextlib.nullcontext() if member is None else member.turn,
+                    together=together,
                 )
             )
 

@@ -1,7 +1,7 @@
 """Optimiser steps, one or several in a dispatch, as a compiled function."""
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -57,7 +57,14 @@ def _parted(stage: Stage, model: eqx.Module) -> tuple[Any, Any]:
     return eqx.partition(strong, stage.trainable(strong))
 
 
-def make_step(stage: Stage, number: int, seed: int, steps: int, devices: Devices = Devices()) -> Callable:  # noqa: B008
+def make_step(
+    stage: Stage,
+    number: int,
+    seed: int,
+    steps: int,
+    devices: Devices = Devices(),  # noqa: B008
+    take: "Take | None" = None,
+) -> Callable:
     """Compile `steps` optimiser steps of a stage into one function.
 
     Several steps hide the time that a dispatch takes, on a GPU most of all.
@@ -68,6 +75,7 @@ def make_step(stage: Stage, number: int, seed: int, steps: int, devices: Devices
         seed: of the run.
         steps: optimiser steps of one call.
         devices: share the clips of each step.
+        take: takes the steps; by default `take_steps`.
 
     Returns:
         `run((rest, data), progress) -> (progress, terms)`, of arrays on all devices. Terms are stacked over the steps.
@@ -76,41 +84,106 @@ def make_step(stage: Stage, number: int, seed: int, steps: int, devices: Devices
     # Arguments, not constants, of the program: a stage that differs from another in numbers only, such as its seed, its
     # steps, rates or weights, does not compile again.
     chosen = devices.everywhere((step_keys(seed, number), stage.rates(), stage.numbers))
-    rule = stage.rule
-    return lambda fixed, progress: _run((rule, devices, steps, chosen, *fixed), progress)
+    rule, take = stage.rule, take or take_steps
+    return lambda fixed, progress: take(Fixed(rule, devices, steps, chosen, *fixed), progress)
+
+
+class Fixed(NamedTuple):
+    """What steps do not change. What is no array here decides which program takes them.
+
+    Attributes:
+        rule: turns gradients into steps.
+        devices: share the clips of each step.
+        steps: how many.
+        chosen: (keys of the stage, learning rates of each step, (sampler, loss)).
+        rest: the part of the model that the stage does not train.
+        data: the resident data.
+    """
+
+    rule: Rule
+    devices: Devices
+    steps: int
+    chosen: tuple[tuple[Array, Array], dict[str, Array], tuple[Any, Any]]
+    rest: Any
+    data: Resident
+
+    def clips(self, step: Array) -> Clip:
+        """Sample the clips of a step."""
+        (key, _), _, (sampler, _) = self.chosen
+        return sampler(self.data, key, step)
+
+
+# Several steps: their progress, and the terms stacked over the steps.
+Taken = tuple[Progress, dict[str, Array]]
+Take = Callable[[Fixed, Progress], Taken]
 
 
 @functools.partial(eqx.filter_jit, donate="all-except-first")
-def _run(fixed: tuple[Rule, Devices, int, Any, Any, Resident], progress: Progress) -> tuple[Progress, dict[str, Array]]:
-    """Take some steps. What is no array in `fixed` decides which program does it."""
-    rule, devices, steps, (keys, rates, (sampler, objective)), rest, data = fixed
-    clip_key, loss_key = keys
+def take_steps(fixed: Fixed, progress: Progress) -> Taken:
+    """Take some steps."""
+    rule, devices, chosen, rest = fixed.rule, fixed.devices, fixed.chosen, fixed.rest
 
-    def one(progress: Progress) -> tuple[Progress, dict[str, Array]]:
-        clips = devices.divided(sampler(data, clip_key, progress.step))
-        key = jax.random.fold_in(loss_key, progress.step)
-        (loss, (terms, memory)), gradient = _gradient(objective, rest, clips, key, progress)
-        # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
-        finite = jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
-        allowed = finite
-        if rule.skips:
-            # The optimiser skips what is not finite, and counts.
-            gradient = jax.tree.map(lambda each: jnp.where(finite, each, jnp.nan), gradient)
-            memory = jax.tree.map(lambda new, old: jnp.where(finite, new, old), memory, progress.memory)
-            allowed |= progress.optimiser.notfinite_count < rule.skips
-        healthy = progress.healthy & allowed
-        now = {name: rate[progress.step] for name, rate in rates.items()}
-        transformation = rule.transformation(eqx.combine(progress.parameters, rest), now)
-        updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
-        stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
-        kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
-        parameters, optimiser, memory, number = kept
-        return devices.whole((Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}))
+    def one(progress: Progress) -> Taken:
+        clips = devices.divided(fixed.clips(progress.step))
+        return devices.whole(_stepped(rule, chosen, rest, clips, progress))
 
+    return _repeated(one, progress, fixed.steps)
+
+
+@functools.partial(eqx.filter_jit, donate="all-except-first")
+def take_together(fixed: tuple[Fixed, ...], progress: tuple[Progress, ...]) -> tuple[Taken, ...]:
+    """Take the steps of several trainings that differ in numbers only, each on its own data, with all numbers at once.
+
+    Equal to `take_steps` of each, up to rounding.
+    """
+    rule, steps = fixed[0].rule, fixed[0].steps
+    chosen, rest = _stacked([each.chosen for each in fixed]), _stacked([each.rest for each in fixed])
+
+    def one(progress: Progress) -> Taken:
+        # Data stay where they are: stacked, they would take their memory twice.
+        clips = _stacked([each.clips(progress.step[k]) for k, each in enumerate(fixed)])
+        return eqx.filter_vmap(functools.partial(_stepped, rule))(chosen, rest, clips, progress)
+
+    current, terms = _repeated(one, _stacked(progress), steps)
+    return tuple(
+        (jax.tree.map(lambda leaf: leaf[k], current), {name: term[:, k] for name, term in terms.items()})  # noqa: B023
+        for k in range(len(fixed))
+    )
+
+
+def _stacked(trees: Sequence[Any]) -> Any:
+    """Return pytrees of the same structure as one, whose arrays have a new first axis."""
+    return jax.tree.map(lambda *leaves: jnp.stack(leaves) if eqx.is_array(leaves[0]) else leaves[0], *trees)
+
+
+def _repeated(one: Callable[[Progress], Taken], progress: Progress, steps: int) -> Taken:
     if steps == 1:
         progress, terms = one(progress)
         return progress, jax.tree.map(lambda term: term[None], terms)
     return jax.lax.scan(lambda carry, _: one(carry), progress, length=steps)
+
+
+def _stepped(rule: Rule, chosen: Any, rest: Any, clips: Clip, progress: Progress) -> Taken:
+    """Take one step of one training."""
+    (_, loss_key), rates, (_, objective) = chosen
+    key = jax.random.fold_in(loss_key, progress.step)
+    (loss, (terms, memory)), gradient = _gradient(objective, rest, clips, key, progress)
+    # The norm is finite only if every number is; a clipping optimiser computes it too, and XLA computes it once.
+    finite = jnp.isfinite(loss) & jnp.isfinite(optax.tree.norm(gradient))
+    allowed = finite
+    if rule.skips:
+        # The optimiser skips what is not finite, and counts.
+        gradient = jax.tree.map(lambda each: jnp.where(finite, each, jnp.nan), gradient)
+        memory = jax.tree.map(lambda new, old: jnp.where(finite, new, old), memory, progress.memory)
+        allowed |= progress.optimiser.notfinite_count < rule.skips
+    healthy = progress.healthy & allowed
+    now = {name: rate[progress.step] for name, rate in rates.items()}
+    transformation = rule.transformation(eqx.combine(progress.parameters, rest), now)
+    updates, optimiser = transformation.update(gradient, progress.optimiser, progress.parameters)
+    stepped = (optax.apply_updates(progress.parameters, updates), optimiser, memory, progress.step + 1)
+    kept = jax.tree.map(lambda new, old: jnp.where(healthy, new, old), stepped, tuple(progress[:4]))
+    parameters, optimiser, memory, number = kept
+    return Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}
 
 
 def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:

@@ -37,22 +37,8 @@ def convolve(
 _convolve = Primitive("keycld_convolve")
 
 
-@_convolve.def_impl
-def _run(x, kernel, *, stride):
-    return _compiled(x, kernel, stride=stride)
-
-
 def _forward(x, kernel, *, stride):
     return jax.lax.conv_general_dilated(x, kernel, (stride, stride), "SAME", dimension_numbers=_LAYOUT)
-
-
-_compiled = jax.jit(_forward, static_argnames="stride")
-
-
-@_convolve.def_abstract_eval
-def _shape(x, kernel, *, stride):
-    result = jax.eval_shape(partial(_forward, stride=stride), x, kernel)
-    return x.update(shape=result.shape, dtype=result.dtype, weak_type=False)
 
 
 def _over_pictures(cotangent, x, kernel, *, stride):
@@ -61,9 +47,7 @@ def _over_pictures(cotangent, x, kernel, *, stride):
     for length, out, low in _sizes(x.aval.shape, cotangent.shape, size, stride):
         padding.append((size - 1 - low, length + low - 1 - (out - 1) * stride))
     turned = kernel[::-1, ::-1].swapaxes(2, 3)
-    return jax.lax.conv_general_dilated(
-        cotangent, turned, (1, 1), padding, lhs_dilation=(stride, stride), dimension_numbers=_LAYOUT
-    )
+    return _spread.bind(cotangent, turned, padding=tuple(padding), pictures=stride, kernels=1)
 
 
 def _over_kernel(cotangent, x, kernel, *, stride):
@@ -72,9 +56,7 @@ def _over_kernel(cotangent, x, kernel, *, stride):
     for length, out, low in _sizes(x.shape, cotangent.shape, size, stride):
         padding.append((low, (out - 1) * stride + size - length - low))
     across, along = x.transpose(3, 1, 2, 0), cotangent.transpose(1, 2, 0, 3)
-    gradient = jax.lax.conv_general_dilated(
-        across, along, (1, 1), padding, rhs_dilation=(stride, stride), dimension_numbers=_LAYOUT
-    )
+    gradient = _spread.bind(across, along, padding=tuple(padding), pictures=1, kernels=stride)
     return gradient.transpose(1, 2, 0, 3)
 
 
@@ -84,16 +66,54 @@ def _sizes(x, y, size, stride):
     return zip(x[1:3], y[1:3], lows, strict=True)
 
 
-def _batched(arguments, axes, *, stride):
+# The gradients: zeros between the pixels of the pictures, or of the kernel.
+_spread = Primitive("keycld_convolve_spread")
+
+
+def _spread_forward(x, kernel, *, padding, pictures, kernels):
+    return jax.lax.conv_general_dilated(
+        x,
+        kernel,
+        (1, 1),
+        padding,
+        lhs_dilation=(pictures, pictures),
+        rhs_dilation=(kernels, kernels),
+        dimension_numbers=_LAYOUT,
+    )
+
+
+def _spread_over_x(cotangent, x, kernel, **how):
+    return jax.linear_transpose(lambda x: _spread_forward(x, kernel, **how), x.aval)(cotangent)[0]
+
+
+def _spread_over_kernel(cotangent, x, kernel, **how):
+    return jax.linear_transpose(lambda kernel: _spread_forward(x, kernel, **how), kernel.aval)(cotangent)[0]
+
+
+def _batched(primitive, arguments, axes, **how):
     x, kernel = arguments
-    if axes[1] is not None:
-        # Several kernels at once, as for several models: XLA's own form.
-        return jax.vmap(partial(_forward, stride=stride), axes)(x, kernel), 0
-    x = jnp.moveaxis(x, axes[0], 0)
-    y = _convolve.bind(x.reshape(-1, *x.shape[2:]), kernel, stride=stride)
-    return y.reshape(*x.shape[:2], *y.shape[1:]), 0
+    if axes[1] is None:
+        x = jnp.moveaxis(x, axes[0], 0)
+        y = primitive.bind(x.reshape(-1, *x.shape[2:]), kernel, **how)
+        return y.reshape(*x.shape[:2], *y.shape[1:]), 0
+    # Several kernels, as of several models, one after the other: in XLA's form for all of them, groups of channels,
+    # they are slow.
+    kernels = jnp.moveaxis(kernel, axes[1], 0)
+    pictures = [x] * len(kernels) if axes[0] is None else jnp.moveaxis(x, axes[0], 0)
+    return jnp.stack([primitive.bind(*pair, **how) for pair in zip(pictures, kernels, strict=True)]), 0
 
 
-ad.defbilinear(_convolve, _over_pictures, _over_kernel)
-batching.primitive_batchers[_convolve] = _batched
-mlir.register_lowering(_convolve, mlir.lower_fun(_forward, multiple_results=False))
+def _define(primitive, forward, over_x, over_kernel, names):
+    def shape(x, kernel, **how):
+        result = jax.eval_shape(partial(forward, **how), x, kernel)
+        return x.update(shape=result.shape, dtype=result.dtype, weak_type=False)
+
+    primitive.def_impl(jax.jit(forward, static_argnames=names))
+    primitive.def_abstract_eval(shape)
+    ad.defbilinear(primitive, over_x, over_kernel)
+    batching.primitive_batchers[primitive] = partial(_batched, primitive)
+    mlir.register_lowering(primitive, mlir.lower_fun(forward, multiple_results=False))
+
+
+_define(_convolve, _forward, _over_pictures, _over_kernel, ("stride",))
+_define(_spread, _spread_forward, _spread_over_x, _spread_over_kernel, ("padding", "pictures", "kernels"))
