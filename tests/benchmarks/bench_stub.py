@@ -52,6 +52,8 @@ def train_model(experiment, place, member):
     if not (run / "config.json").exists():
         write_run(experiment, run)
     (run / "checkpoints").mkdir(exist_ok=True)
+    if member is not None:
+        note(place, f"{experiment.name} is one of {len(member.group.members)}")
     for step in range(STEPS):
         if not (run / "checkpoints" / str(step)).exists():
             note(place, f"step {step} of {experiment.name}")

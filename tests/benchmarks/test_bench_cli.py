@@ -20,7 +20,8 @@ from scenes import DT, disc_pendulum, draw
 # arXiv v1's recipe, one epoch, with the released code's optimiser.
 SHORT = {"width": 8, "epochs": 1, "released_optimiser": True}
 SETTINGS = [f"{name}={str(value).lower()}" for name, value in SHORT.items()]
-ONLY = ["--only", "pendulum-node2-0", "--preset", "paper", "--set", *SETTINGS]
+PRESET = ["--preset", "paper", "--set", *SETTINGS]
+ONLY = ["--only", "pendulum-node2-0", *PRESET]
 
 
 def finished_data(folder):
@@ -52,15 +53,18 @@ def keycld(*arguments, folder):
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
+def test_two_tiny_experiments_from_data_to_page(tmp_path, monkeypatch, capsys):
+    """They train together; the first one is looked at."""
     folder = tmp_path / "data" / "pendulum"
     folder.mkdir(parents=True)
     finished_data(folder)
-    answer = keycld("bench", "run", "keycld", *ONLY, folder=tmp_path)
+    both = ["--only", "pendulum-node2", "--seeds", "0,1", "--together", "2", *PRESET]
+    answer = keycld("bench", "run", "keycld", *both, folder=tmp_path)
     assert answer.returncode == 0, answer.stdout + answer.stderr
-    assert "done  VPT 0." in answer.stdout and answer.stdout.strip().endswith("1 done")
-    (path,) = (tmp_path / "results" / "keycld").rglob("*.json")
-    result = json.loads(path.read_text())
+    assert answer.stdout.count("done  VPT 0.") == 2 and answer.stdout.strip().endswith("2 done")
+    path, other = sorted((tmp_path / "results" / "keycld").rglob("*.json"))
+    result, second = json.loads(path.read_text()), json.loads(other.read_text())
+    assert result["together"] == 2 and result["scores"]["test@50"]["mse"] != second["scores"]["test@50"]["mse"]
     (experiment,) = suite_named("keycld").select(
         only="pendulum-node2-0", models=["node2"], preset="paper", settings=SHORT
     )
@@ -93,6 +97,8 @@ def test_a_tiny_experiment_from_data_to_page(tmp_path, monkeypatch, capsys):
         (["table", "keycld", "--systems", "pendulum,acrobat"], ["did you mean 'acrobot'"]),
         (["status", "keycld", "--seeds", "0,x"], ["whole numbers", "'x'"]),
         (["run", "keycld", "--preset", "fats"], ["did you mean 'fast'"]),
+        (["run", "keycld", "--together", "0"], ["--together", "at least 1, not 0"]),
+        (["run", "keycld", "--together", "2", "--on", "ray"], ["--together", "leave out --on ray"]),
         (["run", "keycld", "--set", "joint_step=2"], ["did you mean 'joint.steps'"]),
         (["status", "keycld", "--only", "pendulum-fx-0"], ["did you mean 'pendulum-fc-0'"]),
         (["stauts", "keycld"], ["did you mean 'status'"]),

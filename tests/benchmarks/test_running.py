@@ -12,7 +12,7 @@ import bench_stub
 import pytest
 
 from keycld._lock import holder, locked
-from keycld.benchmarks import Place, run_experiments, status_of, suite_named
+from keycld.benchmarks import AtOnce, Place, run_experiments, status_of, suite_named
 
 STUB = [sys.executable, str(Path(__file__).with_name("bench_stub.py"))]
 DRIVER = """
@@ -89,6 +89,28 @@ def test_a_failure_is_recorded_and_the_other_experiments_are_done(place):
     assert run_experiments(experiments(seeds=[0, 1]), place, child=STUB, say=str) == {"done": 2}
     assert sum(line.startswith("step") for line in bench_stub.notes(place.root)) == 3 * bench_stub.STEPS
     assert not list(place.results.rglob("*.failed.json"))
+
+
+def test_experiments_that_train_together_succeed_fail_and_die_by_themselves(place):
+    """Two at a time, in one process: one fails, the other does not care; a killed process is repeated."""
+    behave(place, pendulum_keycld_0="raise", pendulum_keycld_2="kill")
+    lines = []
+    run = {"runner": AtOnce(2), "child": STUB, "say": lines.append}
+    assert run_experiments(experiments(), place, **run) == {"failed": 2, "done": 1}
+    assert [line.split()[1] for line in lines[1:]] == [each.name for each in experiments()]
+    raised, _, killed = (status_of(each, place).detail for each in experiments())
+    assert raised == "KeycldError during training: the lamp is out: switch it on."
+    assert killed.startswith("SIGKILL")
+    shared = [line for line in bench_stub.notes(place.root) if "one of" in line]
+    assert sorted(shared) == [f"pendulum-keycld-{k} is one of 2" for k in range(2)]
+
+    # Both are in the process that dies.
+    behave(place, pendulum_keycld_0="hang", pendulum_keycld_2="kill")
+    assert run_experiments(experiments(), place, **run) == {"failed": 2, "done": 1}
+    assert all(status_of(experiments()[k], place).detail.startswith("SIGKILL") for k in (0, 2))
+    behave(place)
+    assert run_experiments(experiments(), place, **run) == {"done": 3}
+    assert sum(line.startswith("step") for line in bench_stub.notes(place.root)) == 3 * bench_stub.STEPS
 
 
 def test_two_at_once_do_not_take_the_same_experiment(place):

@@ -84,6 +84,7 @@ class _Config(TypedDict):
     settings: dict[str, Any]
     minutes: NotRequired[float | None]
     share: NotRequired[float]
+    together: NotRequired[int]
 
 
 class _Machine(TypedDict):
@@ -144,6 +145,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
         "settings": config["settings"],
         "minutes": config.get("minutes"),
         "share": config.get("share", 1.0),
+        "together": config.get("together", 1),
         # Of the first process of the training, and of the process that evaluated.
         "commit": trained_in["commit"],
         "commit_scored": environment()["commit"],
