@@ -177,3 +177,14 @@ def test_a_law_that_was_chosen_is_judged_by_the_fit_it_was_chosen_with(monkeypat
         with pytest.raises(SeenError) as seen:
             stages[name].judge(cart(1.0), recordings, {})
         assert seen.value.args[0] == (set(config.tried.kinds) if terms is None else set()), name
+
+
+@pytest.mark.parametrize("name", ["keycld-nc", "fc"])
+def test_the_law_of_an_ablation_is_scored_and_not_judged(name, recordings, monkeypatch):
+    """Without its constraint no law explains a pendulum: how much worse it is, is what a table wants to know."""
+    scene = Scene(SIZE, SIZE, 0, FRAMES, DT, 6)
+    constraints = Constraints(("b",), (DistanceToPoint("b", (0.0, 0.0)),))
+    config = config_for(name, "fast", width=8, constraints=constraints)
+    (dynamics,) = (stage for stage in config.stages(scene) if stage.name == "dynamics")
+    monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: pytest.fail("judged"))
+    assert dynamics.judge(config.build(scene, jax.random.key(0)), recordings, {}) is None

@@ -2,6 +2,7 @@
 
 import dataclasses
 import functools
+import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -228,17 +229,19 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             groups=joint.groups[:2],
             prepare=fit_dynamics,
         )
+    # How far the law of an ablation is from what is seen is what its scores tell.
+    worst = second.worst if config.model == "keycld" else math.inf
     if config.model == "node2":
         dynamics = _gradient_stage(second, clips)
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
-        judge = functools.partial(judge_dynamics, worst=second.worst, small=_SMALL, tried=config.tried)
+        judge = functools.partial(judge_dynamics, worst=worst, small=_SMALL, tried=config.tried)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
         )
     refit = functools.partial(fit_dynamics, tried=config.tried)
     judge = functools.partial(
-        judge_trained, reconstruction=first.worst, law=second.worst, small=config.TOLERATED, tried=config.tried
+        judge_trained, reconstruction=first.worst, law=worst, small=config.TOLERATED, tried=config.tried
     )
     prior = dataclasses.replace(
         joint,
