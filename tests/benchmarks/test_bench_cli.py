@@ -103,6 +103,8 @@ def test_two_tiny_experiments_from_data_to_page(tmp_path, monkeypatch, capsys):
         (["status", "keycld", "--only", "pendulum-fx-0"], ["did you mean 'pendulum-fc-0'"]),
         (["stauts", "keycld"], ["did you mean 'status'"]),
         (["table", "keycld", "--results", "nodir"], ["there is no folder nodir", "`keycld bench run keycld`"]),
+        (["figures", "priors", "--results", "nodir"], ["there is no folder nodir", "`keycld bench run priors`"]),
+        (["report", "zoo", "--results", "nodir"], ["there is no folder nodir", "`keycld bench run zoo`"]),
     ],
 )
 def test_mistakes_get_one_sentence_and_code_two(monkeypatch, capsys, tmp_path, arguments, words):

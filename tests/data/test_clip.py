@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, clip_file, import_clip, is_clip, open_data, read, usual_for
+from keycld.data import changes_of, check, clip_file, import_clip, is_clip, open_data, read, usual_for
 from keycld.data.imports.exposure import made_alike, usual_of
 from keycld.data.imports.overlays import overlays
 from keycld.drawing import save_movie
@@ -61,6 +61,9 @@ def test_a_clock_is_painted_over_and_not_in_the_crop(tmp_path):
     assert plain.painted == () and len(clip.painted) == 1
     left, top, width, height = clip.painted[0]
     assert left <= 18 and left + width >= 27 and top <= 6 and top + height >= 12 and width < 30 and height < 20
+    (said,) = changes_of(open_data(clip.folder).attributes)
+    assert said.startswith(f"what changes at {left} {top} {width} {height} without moving, such as a clock")
+    assert changes_of(open_data(plain.folder).attributes) == []
     np.testing.assert_allclose(clip.crop, plain.crop, atol=1)
     whole = import_clip(path, tmp_path / "c", constraints="pendulum", size=96, crop=(0, 0, 96, 96))
     image = open_data(whole.folder).train().image[0].astype(float)
@@ -83,6 +86,7 @@ def test_an_exposure_that_varies_is_evened_out(tmp_path):
     clip = import_clip(path, tmp_path / "b", **options)
     assert plain.exposure == 0 and clip.exposure == pytest.approx(0.083, abs=0.005)
     data = open_data(tmp_path / "b")
+    assert changes_of(data.attributes) == [f"the exposure varies by {clip.exposure:.1%}; it is evened out"]
     images = [open_data(folder).train().image[0].astype(float) for folder in (tmp_path / "a", tmp_path / "b")]
     ratios = np.mean(images[1], axis=(1, 2, 3)) / np.mean(images[0], axis=(1, 2, 3))
     assert np.std(ratios) < 0.005 < 0.05 < np.std(exposed(np.full((54, 1, 1, 3), 100)).mean(axis=(1, 2, 3)) / 100)

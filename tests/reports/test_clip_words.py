@@ -25,3 +25,6 @@ def test_the_constants_of_pieces_are_said_to_be_so():
     assert clip_sections.about(physics).endswith(said)
     physics["measured_on"] = {"pieces": 1, "frames": 110, "whole": True}
     assert "pieces" not in clip_sections.about(physics) and "30 frames a second" in clip_sections.about(physics)
+    physics["changes"] = ["a clock is painted over", "the exposure varies by 2.0%; it is evened out"]
+    said = " In the video, a clock is painted over; the exposure varies by 2.0%; it is evened out."
+    assert clip_sections.about(physics).endswith(said)

@@ -123,11 +123,7 @@ def table(selection: Chosen, *, out: Path | None = None) -> None:
     from keycld.benchmarks import as_csv, as_markdown, as_text, provenance, tables
 
     experiments, place = selection.experiments(), selection.place()
-    if not selection.results.is_dir():
-        raise KeycldError(
-            f"there is no folder {selection.results}: name the folder of the results with --results, or make them with "
-            f"`keycld bench run {selection.suite}`."
-        )
+    _refuse_without_results(selection)
     found = tables(experiments, place)
     origin = provenance(experiments, place)
     print("\n\n".join(filter(None, [*(as_text(each) for each in found), origin])))
@@ -152,6 +148,7 @@ def figures(selection: Chosen, *, out: Path | None = None) -> None:
     from keycld.benchmarks import illustrate, illustrate_priors, suite_named
 
     experiments, place = selection.experiments(), selection.place()
+    _refuse_without_results(selection)
     folder = out or place.group(experiments[0]) / "media"
     if suite_named(selection.suite).fitting:
         print("\n".join(map(str, illustrate_priors(experiments, place, folder))))
@@ -171,8 +168,17 @@ def report(selection: Chosen, *, out: Path | None = None) -> None:
     from keycld.reports import write_priors_report, write_suite_report
 
     experiments, place = selection.experiments(), selection.place()
+    _refuse_without_results(selection)
     write = write_priors_report if suite_named(selection.suite).fitting else write_suite_report
     print(f"report: {write(experiments, place, out or place.group(experiments[0]))}")
+
+
+def _refuse_without_results(selection: Selection) -> None:
+    if not selection.results.is_dir():
+        raise KeycldError(
+            f"there is no folder {selection.results}: name the folder of the results with --results, or make them with "
+            f"`keycld bench run {selection.suite}`."
+        )
 
 
 def _counts(experiments: "tuple[Experiment, ...]", place: "Place") -> str:

@@ -94,6 +94,7 @@ def watch(
     """
     from keycld.cli.live import live as show_live
     from keycld.cli.settings import parse_setting
+    from keycld.data import changes_of
     from keycld.evaluation import MOTION, as_json, evaluate_motion, load_physics, save_evaluation, save_physics
     from keycld.models import config_for
     from keycld.reports import write_report
@@ -139,6 +140,7 @@ def watch(
                 physics, motion = _measure(run, model, data, motion, chosen, scale)
                 save_evaluation(run, MOTION, motion)
             physics["given"] = measured_by_hand(scale, gravity)
+            physics["changes"] = changes_of(data.attributes)
             if compared:
                 physics["alternatives"] = compared
             save_physics(run, physics)
@@ -240,20 +242,18 @@ def _imported(
     Raises:
         KeycldError: as `import_clip`, which leaves nothing.
     """
-    from keycld.data import finished, import_clip, open_data
+    from keycld.data import changes_of, finished, import_clip, open_data
 
     folder = run / "data"
-    if not finished(folder):
-        made = import_clip(clips, folder, constraints=mechanism, size=size, **options)
-        counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
-        crop = f"{' '.join(map(str, made.crop))} to {made.size} x {made.size}"
-        print(f"clip         {made.fps:g} frames/s, crop {crop}, frames: {counts}", flush=True)
-        for place in made.painted:
-            where = " ".join(map(str, place))
-            print(f"clip         what changes at {where} without moving, such as a clock, is painted over", flush=True)
-        if made.exposure:
-            print(f"clip         the exposure varies by {made.exposure:.1%}; it is evened out", flush=True)
-    return open_data(folder)
+    if finished(folder):
+        return open_data(folder)
+    made = import_clip(clips, folder, constraints=mechanism, size=size, **options)
+    counts = f"{made.frames[0]} for training, {made.frames[1]} for validation, {made.frames[2]} for the test"
+    crop = f"{' '.join(map(str, made.crop))} to {made.size} x {made.size}"
+    data = open_data(folder)
+    for line in (f"{made.fps:g} frames/s, crop {crop}, frames: {counts}", *changes_of(data.attributes)):
+        print(f"clip         {line}", flush=True)
+    return data
 
 
 def _measured_without_model(

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from keycld.data.imports.camera import camera_frames as camera_frames
     from keycld.data.imports.clip import ImportedClip as ImportedClip
     from keycld.data.imports.clip import before_test as before_test
+    from keycld.data.imports.clip import changes_of as changes_of
     from keycld.data.imports.clip import clip_file as clip_file
     from keycld.data.imports.clip import import_clip as import_clip
     from keycld.data.imports.clip import is_clip as is_clip
@@ -73,6 +74,7 @@ __all__ = [
     "Windows",
     "before_test",
     "camera_frames",
+    "changes_of",
     "check",
     "clip_file",
     "finished",

@@ -91,6 +91,7 @@ class Physics(TypedDict):
         forces: kinds of forces that act in addition to gravity.
         alternatives: the mechanisms that were compared, the chosen one first, where none was told or none learned.
         note: why there is no mechanism, or no model of it.
+        changes: what was changed in the pictures of a clip.
     """
 
     mechanism: str | None
@@ -103,6 +104,7 @@ class Physics(TypedDict):
     forces: NotRequired[list[str]]
     alternatives: NotRequired[list[Alternative]]
     note: NotRequired[str]
+    changes: NotRequired[list[str]]
 
 
 def save_physics(folder: str | Path, physics: Physics) -> Path:

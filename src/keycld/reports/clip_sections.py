@@ -50,8 +50,11 @@ def about(physics: Physics) -> str:
         f"Times are at {physics['fps']:.4g} frames a second. “Units” are those of the image plane: 1 is half of "
         "the side of the cropped picture. ± is one standard error."
     )
-    note = pieces_note(physics)
-    return f"{said} The constants were {note}." if note else said
+    if note := pieces_note(physics):
+        said += f" The constants were {note}."
+    if changes := physics.get("changes"):
+        said += f" In the video, {'; '.join(changes)}."
+    return said
 
 
 def constants(run: Run) -> str:

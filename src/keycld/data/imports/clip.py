@@ -164,6 +164,7 @@ def import_clip(
         for name in ("train", "validation"):
             attributes[f"{name}_of_clips"] = [len(clip) // parts[name].shape[1] for clip in split[name]]
         attributes |= {"video_size": (first.width, first.height), "mapped": mapped, EVENED: exposure > 0}
+        attributes |= {"painted": np.array(painted, int).reshape(-1, 4), "exposure": exposure}
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
     return ImportedClip(out, chosen, side, rate, (frames[0], frames[1], frames[2]), tuple(painted), exposure)
@@ -172,6 +173,14 @@ def import_clip(
 def is_clip(attributes: Mapping[str, Any]) -> bool:
     """Return whether a data set with these attributes was made of a clip."""
     return attributes.get("protocol") == CLIP
+
+
+def changes_of(attributes: Mapping[str, Any]) -> list[str]:
+    """Say what was changed in the pictures of a clip, from the attributes of its data set."""
+    places = [" ".join(map(str, np.asarray(place).tolist())) for place in attributes.get("painted", ())]
+    said = [f"what changes at {place} without moving, such as a clock, is painted over" for place in places]
+    exposure = float(attributes.get("exposure", 0.0))
+    return [*said, f"the exposure varies by {exposure:.1%}; it is evened out"] if exposure else said
 
 
 def before_test(data: "DataSet") -> Trajectories:
