@@ -287,7 +287,11 @@ def test_a_clip_that_no_network_learns_is_measured_on_the_middles_of_its_parts(t
     page = (tmp_path / "run" / "report.html").read_text()
     assert "<h1>Run</h1>" in page and "Failed" in page and "Caution: no network" in page and "pivot_x" in page
 
-    monkeypatch.setattr(discovery, "discover", lambda frames, fitted, dt: [])
-    assert main(command) == 2
-    told = capsys.readouterr()
-    assert not told.out and told.err.splitlines()[-1].startswith("keycld: training failed 3 times")
+    def lost(frames, fitted, dt):
+        raise KeycldError("the parts cannot be followed")
+
+    for found in (lambda frames, fitted, dt: []), lost:
+        monkeypatch.setattr(discovery, "discover", found)
+        assert main(command) == 2
+        told = capsys.readouterr()
+        assert not told.out and told.err.splitlines()[-1].startswith("keycld: training failed 3 times")

@@ -259,7 +259,10 @@ def _imported(
 def _measured_without_model(
     run: Path, clip: Path, mechanism: str, options: Mapping[str, Any], scale: "Scale | None"
 ) -> "Physics | None":
-    """Measure the constants of a clip whose training has failed; None if it has not, or its parts do not allow it."""
+    """Measure the constants of a clip whose training has failed; None if it has not, or its parts do not allow it.
+
+    What goes wrong here is not said: why the training has failed is what helps.
+    """
     from keycld.models.keycld.recipes.clip import ClipConfig
     from keycld.training import read_config, read_verdict
 
@@ -268,7 +271,9 @@ def _measured_without_model(
         return None
     config = read_config(run).model_config()
     assert isinstance(config, ClipConfig)
-    return measure_parts(clip, run, options, mechanism, config.tried, scale)
+    with contextlib.suppress(KeycldError):
+        return measure_parts(clip, run, options, mechanism, config.tried, scale)
+    return None
 
 
 def _measure(
