@@ -84,7 +84,7 @@ def run(
         cpus: Processor cores that an experiment reserves on Ray.
         gpus: GPUs that an experiment reserves on Ray; 0.5 lets two share one.
         together: How many experiments of one model train in one program, which on a GPU takes little longer than one
-            alone; 1 on CPUs, where it would be slower.
+            alone; on CPUs nothing is gained.
     """
     from keycld.benchmarks import AtOnce, Here, OnRay, run_experiments
 

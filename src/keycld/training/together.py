@@ -17,8 +17,7 @@ class Together:
     """Trainings of one recipe, each in a thread of its own, on other data or with other seeds.
 
     A roll-out is a long sequence of small programs. On a GPU each takes the time of its launch, for one training or for
-    twenty, so twenty that take their steps together take little longer than one. On a CPU the kernels of several models
-    are slow together; there trainings run one after the other.
+    twenty, so twenty that take their steps together take little longer than one. On a CPU nothing is gained.
 
     Each dispatch waits until all trainings that have not ended have one. Those that differ in numbers only are one
     program (`take_together`), whose outcome is that of each alone, up to rounding; others follow one after the other.
