@@ -133,7 +133,7 @@ def make_data(experiment: Experiment, place: Place) -> None:
     experiment.data.make(place.data(experiment))
 
 
-def train_model(experiment: Experiment, place: Place, member: "Member | None") -> None:
+def train_model(experiment: Experiment, place: Place, member: "Member | None" = None) -> None:
     """Train to the end, from the newest checkpoint if there is one."""
     from keycld.training import finished, read_verdict, train
 
