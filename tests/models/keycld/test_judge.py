@@ -185,6 +185,9 @@ def test_the_law_of_an_ablation_is_scored_and_not_judged(name, recordings, monke
     scene = Scene(SIZE, SIZE, 0, FRAMES, DT, 6)
     constraints = Constraints(("b",), (DistanceToPoint("b", (0.0, 0.0)),))
     config = config_for(name, "fast", width=8, constraints=constraints)
-    (dynamics,) = (stage for stage in config.stages(scene) if stage.name == "dynamics")
+    model = config.build(scene, jax.random.key(0))
     monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: pytest.fail("judged"))
-    assert dynamics.judge(config.build(scene, jax.random.key(0)), recordings, {}) is None
+    monkeypatch.setattr(judge, "squared_error", lambda *_: jnp.array(100.0))
+    stages = {stage.name: stage for stage in config.stages(scene)}
+    assert all(stages[name].judge(model, recordings, {}) is None for name in ("dynamics", "prior"))
+    assert "have not found" in stages["vision"].judge(model, recordings, {"reconstruction": 1e6})

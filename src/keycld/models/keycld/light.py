@@ -229,8 +229,9 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
             groups=joint.groups[:2],
             prepare=fit_dynamics,
         )
-    # How far the law of an ablation is from what is seen is what its scores tell.
-    worst = second.worst if config.model == "keycld" else math.inf
+    # How far the law of an ablation is from what is seen, and where it leads the pictures, is what its scores tell.
+    ablation = config.model != "keycld"
+    worst = math.inf if ablation else second.worst
     if config.model == "node2":
         dynamics = _gradient_stage(second, clips)
     else:
@@ -241,7 +242,11 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         )
     refit = functools.partial(fit_dynamics, tried=config.tried)
     judge = functools.partial(
-        judge_trained, reconstruction=first.worst, law=worst, small=config.TOLERATED, tried=config.tried
+        judge_trained,
+        reconstruction=math.inf if ablation else first.worst,
+        law=worst,
+        small=config.TOLERATED,
+        tried=config.tried,
     )
     prior = dataclasses.replace(
         joint,
