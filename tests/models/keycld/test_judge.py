@@ -187,7 +187,7 @@ def test_the_law_of_an_ablation_is_scored_and_not_judged(name, recordings, monke
     config = config_for(name, "fast", width=8, constraints=constraints)
     model = config.build(scene, jax.random.key(0))
     monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: pytest.fail("judged"))
-    monkeypatch.setattr(judge, "squared_error", lambda *_: jnp.array(100.0))
+    monkeypatch.setattr(judge, "squared_error", lambda *_: jnp.array(1e6))
     stages = {stage.name: stage for stage in config.stages(scene)}
     assert all(stages[name].judge(model, recordings, {}) is None for name in ("dynamics", "prior"))
     assert "have not found" in stages["vision"].judge(model, recordings, {"reconstruction": 1e6})
