@@ -1,6 +1,7 @@
 import dataclasses
 import json
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -19,6 +20,7 @@ from keycld.evaluation import (
 )
 from keycld.evaluation.observing import probed_system
 from keycld.evaluation.predicting import batch_size
+from keycld.mechanics import ConstrainedLagrangian
 from swing import RADIUS, DiscSystem, Still, Swing
 
 PROTOCOL = Protocol("test@20", "test", 20, shown=3)
@@ -79,6 +81,15 @@ def test_the_true_law_predicts_to_the_end_and_beats_every_baseline(data, shared,
     assert scores["drift"]["constraint"]["worst"] < 1e-5
     assert scores["masses"] == [1.0] and scores["keypoints"] == ["disc"]
     assert done[-1] == (7 * 20, 7 * 20)
+
+
+def test_a_sum_of_a_row_of_the_mass_matrix_below_zero_is_no_mass(data, shared, known, monkeypatch, tmp_path):
+    """Without constraints a matrix that couples keypoints may have one; its scores can be read again."""
+    monkeypatch.setattr(ConstrainedLagrangian, "masses", property(lambda law: jnp.array([-0.5])))
+    result = evaluate(Swing.right(), data, PROTOCOL, shared=shared)
+    assert "masses" not in result.scores
+    save_evaluation(tmp_path, PROTOCOL.name, result)
+    assert load_evaluation(tmp_path, PROTOCOL.name).scores["keypoints"] == ["disc"]
 
 
 def test_arrays_for_the_report(data, shared, known):

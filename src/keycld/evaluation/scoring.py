@@ -89,7 +89,10 @@ def evaluate(
     }
     _add_drift(scores, arrays, done)
     if isinstance(model, HasLagrangian):
-        scores["masses"] = np.asarray(model.law.masses).tolist()
+        # Sums of rows of M: of a law without constraints that couples keypoints one may be negative, and is no mass.
+        masses = np.asarray(model.law.masses)
+        if np.all(masses > 0):
+            scores["masses"] = masses.tolist()
     passed = count * (protocol.given + protocol.horizon)
     if isinstance(model, HasKeypoints):
         keypoints = done.along["keypoints"]
