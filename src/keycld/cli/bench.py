@@ -88,12 +88,10 @@ def run(
     """
     from keycld.benchmarks import AtOnce, Here, OnRay, run_experiments
 
-    if together < 1 or (together > 1 and (on == "ray" or selection.minutes is not None)):
-        raise KeycldError(
-            f"--together is a number of experiments, at least 1, not {together}."
-            if together < 1
-            else "--together is for whole trainings on this machine: leave out --on ray and --minutes."
-        )
+    if together < 1:
+        raise KeycldError(f"--together is a number of experiments, at least 1, not {together}.")
+    if together > 1 and (on == "ray" or selection.minutes is not None):
+        raise KeycldError("--together is for whole trainings on this machine: leave out --on ray and --minutes.")
     experiments, place = selection.experiments(), selection.place()
     runner = OnRay(cpus, gpus) if on == "ray" else AtOnce(together) if together > 1 else Here()
     counts = run_experiments(experiments, place, runner=runner, say=lambda line: print(line, flush=True))

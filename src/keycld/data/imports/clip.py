@@ -177,8 +177,10 @@ def is_clip(attributes: Mapping[str, Any]) -> bool:
 
 def changes_of(attributes: Mapping[str, Any]) -> list[str]:
     """Say what was changed in the pictures of a clip, from the attributes of its data set."""
-    places = [" ".join(map(str, np.asarray(place).tolist())) for place in attributes.get("painted", ())]
-    said = [f"what changes at {place} without moving, such as a clock, is painted over" for place in places]
+    said = [
+        f"what changes without moving, such as a clock, is painted over: {width} × {height} pixels at {left}, {top}"
+        for left, top, width, height in attributes.get("painted", ())
+    ]
     exposure = float(attributes.get("exposure", 0.0))
     return [*said, f"the exposure varies by {exposure:.1%}; it is evened out"] if exposure else said
 
