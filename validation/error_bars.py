@@ -42,7 +42,7 @@ from keycld.mechanics import (
     load_constraints,
     predict_fan,
 )
-from keycld.models.keycld.identify import free_leaves
+from keycld.models.keycld.law_fit import free_leaves
 from keycld.training import environment
 
 SETTINGS = ((10, 60), (60, 30))

@@ -36,7 +36,8 @@ from keycld.mechanics import (
     SumPotential,
     ViscousFriction,
 )
-from keycld.models.keycld.identify import Tracks, Tried
+from keycld.models.keycld.selection import Tried
+from keycld.models.keycld.tracks import Tracks
 
 DT, FRAMES, NOISE, LENGTH = 1 / 30, 90, 0.003, 0.6
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.physics_file import Alternative
     from keycld.mechanics import Scale
     from keycld.models.keycld.discover import Judged
-    from keycld.models.keycld.identify import Tried
+    from keycld.models.keycld.selection import Tried
 
 AUTO = "auto"
 """The mechanism that is not told."""

@@ -25,7 +25,10 @@ from keycld.mechanics import (
     rest_pose,
     terms_of,
 )
-from keycld.models.keycld.identify import MISSED, Tracks, Tried, evidence, explain, follow, free_leaves
+from keycld.models.keycld.identify import evidence, explain
+from keycld.models.keycld.law_fit import climb, free_leaves
+from keycld.models.keycld.selection import Tried
+from keycld.models.keycld.tracks import MISSED, Tracks
 
 # A positive constant with a larger relative error is not determined: its linear error bar means nothing.
 _VAGUE = 0.5
@@ -107,7 +110,8 @@ def measure_physics(
     assert isinstance(law, ConstrainedLagrangian)
     seen = jnp.asarray(x, jnp.float32)
     shared = jnp.mean(jax.vmap(law.constraint)(seen.reshape(-1, seen.shape[-1])), axis=0)
-    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared).sharing(tried)
+    among = () if tried is None else tried.named
+    recordings = Tracks(seen, jnp.asarray(u, jnp.float32), jnp.float32(dt), shared, among=among)
     _, followed = explain(dynamics, recordings)
     worth = {} if tried is None else evidence(dynamics, followed, pixel=pixel, tried=tried)
     found = _estimated(dynamics, followed)
@@ -132,7 +136,7 @@ def _estimated(dynamics: MechanicalDynamics, tracks: Tracks) -> Estimate:
     """
     halves = tracks.halved()
     try:
-        near = follow(dynamics, tracks)
+        near = climb(dynamics, tracks)
         free, dt = free_leaves(near.dynamics), float(tracks.dt)
         found = estimate(near.dynamics, free, tracks.x, tracks.u, dt, initial=near.initial)
         if found.misfit <= MISSED or halves is None:

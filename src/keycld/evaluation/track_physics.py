@@ -5,7 +5,8 @@ import numpy as np
 from keycld.evaluation.physics import Measured, measure_physics
 from keycld.mechanics import Candidate, Scale
 from keycld.models.keycld.discover import observed_pieces
-from keycld.models.keycld.identify import Tried, identify
+from keycld.models.keycld.identify import identify
+from keycld.models.keycld.selection import Tried
 
 
 def measure_tracks(

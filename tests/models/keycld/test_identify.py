@@ -23,9 +23,10 @@ from keycld.mechanics import (
     with_kinds,
 )
 from keycld.models import Scene, config_for
-from keycld.models.keycld import identify, prepare
-from keycld.models.keycld.identify import Tracks, Tried
+from keycld.models.keycld import identify, law_fit, prepare
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
+from keycld.models.keycld.selection import Tried
+from keycld.models.keycld.tracks import Tracks
 from keycld.vision import AbstractEstimator, Observation
 from scenes import DT, SIZE, disc_pendulum, draw
 
@@ -99,7 +100,7 @@ def test_forces_that_explain_no_more_give_way_to_a_spring_and_viscous_friction(m
     tracks = Tracks(jnp.stack([x, 0 * x], axis=-1), jnp.zeros((6, 0)), jnp.array(DT), jnp.zeros(1))
     law = with_kinds(model.law, ("springs", "drag"), key=jax.random.key(0))
     monkeypatch.setattr(
-        identify, "_selected", lambda fitted, *_: (eqx.tree_at(lambda d: d.law, fitted.dynamics, law), {})
+        identify, "select_terms", lambda fitted, *_: (eqx.tree_at(lambda d: d.law, fitted.dynamics, law), {})
     )
     tried = Tried(("springs", "viscous", "drag"), takes=takes)
     assert set(terms_of(identify.identify(model.dynamics, tracks, pixel=0.03, tried=tried).dynamics.law)) == found
@@ -116,18 +117,18 @@ def test_one_compiled_fit_serves_laws_with_some_of_the_forces(monkeypatch):
         model.dynamics,
         with_kinds(model.law, ("springs",), key=jax.random.key(0)),
     )
-    alone = identify._fitted(spring, tracks)
+    alone = law_fit.fit_law(spring, tracks)
     compiled = []
 
     def fit(dynamics, *arguments, **named):
         compiled.append(set(terms_of(dynamics.law)))
         return fit_motions(dynamics, *arguments, **named)
 
-    monkeypatch.setattr(identify, "_fit", eqx.filter_jit(fit))
+    monkeypatch.setattr(law_fit, "_fit", eqx.filter_jit(fit))
     shared = dataclasses.replace(tracks, among=("springs", "viscous"))
-    found = identify._fitted(spring, shared)
-    for more in (model.dynamics, identify._fitted(model.dynamics, shared).dynamics):
-        assert terms_of(identify._fitted(more, shared).dynamics.law) == {}
+    found = law_fit.fit_law(spring, shared)
+    for more in (model.dynamics, law_fit.fit_law(model.dynamics, shared).dynamics):
+        assert terms_of(law_fit.fit_law(more, shared).dynamics.law) == {}
     assert compiled == [{"springs", "viscous"}]
     assert set(terms_of(found.dynamics.law)) == {"springs"}
     for one, other in zip(jax.tree.leaves(found), jax.tree.leaves(alone), strict=True):
@@ -244,12 +245,12 @@ def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch
         for cost, error in ((jnp.inf, jnp.nan), (9.0, 3.0), (1.0, 0.1))
     )
     tracks = Tracks(x, jnp.zeros((3, 0)), jnp.array(DT), None)
-    monkeypatch.setattr(identify, "_climb", lambda *_, **__: sound)
+    monkeypatch.setattr(identify, "climb", lambda *_, **__: sound)
     for first in (nothing, lost, sound):
-        monkeypatch.setattr(identify, "_fitted", lambda *_, first=first: first)
+        monkeypatch.setattr(identify, "fit_law", lambda *_, first=first: first)
         assert identify.refit(model.dynamics, tracks)[0] is sound
-    monkeypatch.setattr(identify, "_climb", lambda *_, **__: nothing)
-    monkeypatch.setattr(identify, "_fitted", lambda *_: nothing)
+    monkeypatch.setattr(identify, "climb", lambda *_, **__: nothing)
+    monkeypatch.setattr(identify, "fit_law", lambda *_: nothing)
     assert identify.refit(model.dynamics, tracks, tried=Tried())[0] is nothing
 
 

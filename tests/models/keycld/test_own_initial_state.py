@@ -24,10 +24,12 @@ from keycld.mechanics.forces.anchors import Anchors
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.models import Scene, config_for
 from keycld.models.keycld import prepare
-from keycld.models.keycld.identify import Tracks, Tried, identify, refit
+from keycld.models.keycld.identify import identify, refit
 from keycld.models.keycld.losses import SmoothedLoss
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
 from keycld.models.keycld.prepare import own_guess
+from keycld.models.keycld.selection import Tried
+from keycld.models.keycld.tracks import Tracks
 from keycld.systems import get
 
 SCENE = Scene(height=16, width=16, inputs=0, frames=12, dt=0.05, trajectories=6)

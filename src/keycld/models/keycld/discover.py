@@ -19,7 +19,8 @@ from keycld.mechanics import (
     SumPotential,
     candidates,
 )
-from keycld.models.keycld.identify import Tracks, ahead, identify
+from keycld.models.keycld.identify import ahead, identify
+from keycld.models.keycld.tracks import Tracks
 from keycld.vision import moving_parts
 
 RIGID = 0.25

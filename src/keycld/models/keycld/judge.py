@@ -11,11 +11,13 @@ from jaxtyping import Float
 
 from keycld.data import Resident
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved, turns_within, variation
-from keycld.models.keycld.identify import MISSED, Tracks, Tried, explain, nearest_polynomials
+from keycld.models.keycld.identify import explain
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.own_initial_state import OwnInitialState
 from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
+from keycld.models.keycld.selection import Tried
+from keycld.models.keycld.tracks import MISSED, Tracks, nearest_polynomials
 
 # How many of their own errors a law may be away from the keypoints, and how many where it misses much of the motion.
 _ERRORS, _NEAR = 5.0, 2.0
@@ -172,7 +174,8 @@ def _unexplained(
     """Return what the law of a model does not explain of observed keypoints `[N, T, 2K]`, or None."""
     assert isinstance(model.dynamics, MechanicalDynamics)
     pixel = 2 / max(data.shape[2:4])
-    recordings = Tracks(x, u, data.dt, model.constants, own=own_guess(model, x)).sharing(tried)
+    among = () if tried is None else tried.named
+    recordings = Tracks(x, u, data.dt, model.constants, own=own_guess(model, x), among=among)
     fitted, tracks = explain(model.dynamics, recordings)
     x = tracks.x
     seen = np.asarray(x, float).reshape(*x.shape[:2], -1, 2)

@@ -28,10 +28,12 @@ from keycld.mechanics import (
 )
 from keycld.models.keycld.config import MOST_ORDERED
 from keycld.models.keycld.exchange import orders, shared_constants
-from keycld.models.keycld.identify import Tracks, Tried, identify, refit
+from keycld.models.keycld.identify import identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
+from keycld.models.keycld.selection import Tried
+from keycld.models.keycld.tracks import Tracks
 from keycld.models.keycld.velocity_prior import VelocityPrior
 from keycld.vision import still_background
 

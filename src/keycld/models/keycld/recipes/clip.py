@@ -10,7 +10,7 @@ from keycld.models.registry import register_preset
 from keycld.models.scene import Scene
 
 if TYPE_CHECKING:
-    from keycld.models.keycld.identify import Tried
+    from keycld.models.keycld.selection import Tried
     from keycld.stages import Stage
 
 
@@ -48,7 +48,7 @@ class ClipConfig(FastConfig):
         With keypoints that are a little wrong, a hinge would get a spring that it does not have.
         """
         from keycld.mechanics import AbstractDisplacement, AbstractDissipationTerm, term_kinds
-        from keycld.models.keycld.identify import Tried
+        from keycld.models.keycld.selection import Tried
 
         if self.terms is not None:
             return None

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
     from jaxtyping import PRNGKeyArray
 
     from keycld.models.base import AbstractModel
-    from keycld.models.keycld.identify import Tried
     from keycld.models.keycld.model import AbstractKeypointModel
+    from keycld.models.keycld.selection import Tried
     from keycld.stages import Stage
 
 
@@ -225,7 +225,7 @@ class FastConfig(KeyCLDConfig):
     @property
     def tried(self) -> "Tried | None":
         """The forces that training tries, and what they must be worth to stay; None: they are given by `terms`."""
-        from keycld.models.keycld.identify import Tried
+        from keycld.models.keycld.selection import Tried
 
         return Tried() if self.terms is None else None
 

@@ -1,0 +1,149 @@
+"""Selection of the terms of V and R that a motion asks for, from the curvature of a fit with all of them."""
+
+import dataclasses
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from keycld.mechanics import (
+    AbstractDissipationTerm,
+    ConstrainedLagrangian,
+    Fitted,
+    MechanicalDynamics,
+    Own,
+    moved,
+    term_kinds,
+    terms_of,
+    with_terms,
+)
+from keycld.models.keycld.law_fit import fit_law, free_leaves, lagrangian, owner_of, with_law
+from keycld.models.keycld.tracks import Tracks
+
+# A term stays if without it the cost of the fit would rise by this share.
+WORTH = 0.2
+# Share by which masses may follow when a term is dropped, for that same cost.
+_FOLLOW = 0.2
+
+
+@dataclasses.dataclass(frozen=True)
+class Tried:
+    """Which forces `identify` tries.
+
+    Attributes:
+        kinds: of the terms; None: all but the last resort.
+        worth: a term stays if without it the cost of the fit would rise by this share.
+        takes: each friction must take energy next to the others too, not only in their place; and other forces must
+            explain more than springs and viscous friction do.
+        located: pivots that the positions determine alone, because they span 1.5 rad, are not fitted with the dynamics.
+            A real mechanism deviates from every law by more than from its circle, and would pull the pivot away.
+    """
+
+    kinds: tuple[str, ...] | None = None
+    worth: float = WORTH
+    takes: bool = False
+    located: bool = False
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Kinds of the terms, also where `kinds` is None."""
+        kinds = term_kinds().items()
+        return tuple(kind for kind, term in kinds if (term.tried if self.kinds is None else kind in self.kinds))
+
+
+def select_terms(fitted: Fitted, tracks: Tracks, tried: Tried) -> tuple[MechanicalDynamics, dict[str, float]]:
+    """Return the dynamics with the terms that are worth their parameters alone, and the worth of all terms.
+
+    Its parameters have taken over what they can. A dissipation that gives energy on average, in place of all others, is
+    worth nothing: next to each other, two of them may have opposite signs, unless `tried.takes`.
+    """
+    fitted = _with_own_held(fitted, tracks)
+    paths = fitted.paths if fitted.own is None else jax.vmap(moved)(fitted.paths, fitted.own[:, :2])
+    parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
+    theta, owner, counts, masses = [], [], [], []
+    kinds = terms_of(lagrangian(fitted.dynamics))
+    for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
+        name = jax.tree_util.keystr(path)
+        kind = owner_of(path, kinds)
+        theta.append(np.asarray(leaf, float).ravel())
+        owner += [kind] * leaf.size
+        masses += [".mass." in name] * leaf.size
+        counts += [kind is None or name.rsplit(".", 1)[-1] not in kinds[kind].nonlinear] * leaf.size
+    flat, owners, linear = np.concatenate(theta), np.array(owner, object), np.array(counts)
+    curvature = np.asarray(fitted.curvature, float)
+    # Masses follow by about a fifth only: with no mass at all any force could be missing, and where forces act between
+    # keypoints alone, such as attraction, this is true of their relative motion for each total mass.
+    heavy = np.array(masses)
+    step = _FOLLOW * np.sqrt(np.mean(flat[heavy] ** 2))
+    curvature = curvature + np.diag(np.where(heavy, 2 * WORTH * float(fitted.cost) / step**2, 0.0))
+    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
+    curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
+    _, unravel = ravel_pytree(parameters)
+
+    def dynamics(flat: np.ndarray) -> MechanicalDynamics:
+        return eqx.combine(unravel(jnp.asarray(flat / scale, jnp.float32)), rest)
+
+    kept, worth = set(kinds), {}
+    dissipations = {kind for kind, term in kinds.items() if isinstance(term, AbstractDissipationTerm)}
+    for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
+        group, others = linear & (owners == kind), _others(owners, kept - {kind})
+        gives = False
+        if kind in dissipations:
+            rivals = linear & np.array([owner in (kept & dissipations) - {kind} for owner in owners])
+            alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
+            laws = [alone, flat] if tried.takes else [alone]
+            gives = any(float(_power(lagrangian(dynamics(law)), kind, paths, tracks.dt)) <= 0 for law in laws)
+        worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
+        if worth[kind] < tried.worth:
+            kept.remove(kind)
+            # What the others take over.
+            flat = _without(curvature, flat, group, others)
+    left = dynamics(flat)
+    terms = {kind: term for kind, term in terms_of(lagrangian(left)).items() if kind in kept}
+    return with_law(left, with_terms(lagrangian(left), terms)), worth
+
+
+def _with_own_held(fitted: Fitted, tracks: Tracks) -> Fitted:
+    """Return the fit with a curvature for which factors of masses and friction follow by about a fifth only.
+
+    They would take the place of any common factor of V or R.
+    """
+    if tracks.own is None or fitted.own is None:
+        return fitted
+    stiff = 2 * WORTH * fitted.cost / (len(fitted.own) * _FOLLOW**2)
+    factors = jnp.arange(len(tracks.own.precision)) >= 2
+    own = Own(fitted.own, fitted.own, tracks.own.precision + jnp.diag(jnp.where(factors, stiff, 0.0)))
+    held = fit_law(fitted.dynamics, dataclasses.replace(tracks, own=own), fitted, iterations=0)
+    return fitted._replace(curvature=held.curvature)
+
+
+@eqx.filter_jit
+def _power(law: ConstrainedLagrangian, kind: str, paths: jax.Array, dt: jax.Array) -> jax.Array:
+    """Return the mean power v·∂R/∂v that a dissipation of this kind takes from motions `[N, T, 2K]`."""
+    term = terms_of(law)[kind]
+    assert isinstance(term, AbstractDissipationTerm)
+    x = paths[:, 1:-1].reshape(-1, paths.shape[-1])
+    v = ((paths[:, 2:] - paths[:, :-2]) / (2 * dt)).reshape(-1, paths.shape[-1])
+    return jnp.mean(jnp.sum(v * jax.vmap(jax.grad(term, argnums=1))(x, v), axis=1))
+
+
+def _others(owners: np.ndarray, kinds: set[str]) -> np.ndarray:
+    return np.array([owner is None or owner in kinds for owner in owners])
+
+
+def _rise(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> float:
+    """Return by how much the cost rises if a group of parameters becomes zero and the others follow."""
+    mixed = curvature[np.ix_(group, others)]
+    follow = np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-6, hermitian=True)
+    schur = curvature[np.ix_(group, group)] - mixed @ follow @ mixed.T
+    return max(0.0, 0.5 * float(theta[group] @ schur @ theta[group]))
+
+
+def _without(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> np.ndarray:
+    follow = np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-6, hermitian=True)
+    theta = theta.copy()
+    theta[others] += follow @ curvature[np.ix_(others, group)] @ theta[group]
+    theta[group] = 0.0
+    return theta
