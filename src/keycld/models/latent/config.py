@@ -52,13 +52,16 @@ class LatentConfig(ModelConfig):
     beta: float = 1.0
     """Weight of the KL divergence in `elbo`."""
     kl_against: str = "window"
-    """Next to which likelihood `beta` weighs the KL divergence. `window`: that of all frames, as in the released code.
-    `frame`: that of one frame, the mean over the window, as in eq. (3)."""
+    """Likelihood that the KL divergence is weighed against. `window`: the sum over all target frames, as in the
+    released code. `frame`: the mean over the frames, as in eq. (3); the KL divergence then weighs as many times more as
+    a window has target frames.
+    """
     kappa: float = 0.001
     """Mean squared error a value that `geco` asks for."""
     consistency: float = 0.0
-    """Weight of the squared distance of the state that a motion reaches from the one that the encoder sees there, as
-    a share of the variance. 0: they are not compared, as in the paper."""
+    """Weight of the squared distance between a rolled-out state and the state that the encoder infers at the same
+    frame, relative to the variance of such states. 0: no such term, as in the paper.
+    """
     rate: float = 1.5e-4
     """Learning rate of Adam."""
     steps: int = 500_000
@@ -169,8 +172,10 @@ class PaperSettings(LatentConfig):
     rate: float = 5e-4
     """Learning rate of Adam."""
     kl_against: str = "frame"
-    """Next to which likelihood `beta` weighs the KL divergence. `window`: that of all frames, as in the released code.
-    `frame`: that of one frame, the mean over the window, as in eq. (3)."""
+    """Likelihood that the KL divergence is weighed against. `window`: the sum over all target frames, as in the
+    released code. `frame`: the mean over the frames, as in eq. (3); the KL divergence then weighs as many times more as
+    a window has target frames.
+    """
 
 
 @dataclasses.dataclass(frozen=True)
@@ -182,8 +187,9 @@ class FastSettings(LatentConfig):
     taper: bool = True
     """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
     consistency: float = 0.001
-    """Weight of the squared distance of the state that a motion reaches from the one that the encoder sees there, as
-    a share of the variance. 0: they are not compared, as in the paper."""
+    """Weight of the squared distance between a rolled-out state and the state that the encoder infers at the same
+    frame, relative to the variance of such states. 0: no such term, as in the paper.
+    """
     rendered: int = 8
     """Random target frames of each window that a step renders and compares; 0: all of them."""
     rate: float = 1.5e-3

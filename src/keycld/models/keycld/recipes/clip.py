@@ -31,11 +31,13 @@ class ClipConfig(FastConfig):
     TOLERATED: ClassVar[float] = 0.5  # No law explains a real mechanism to the errors of its keypoints.
 
     velocity_prior: bool = False
-    """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
+    """Predictions use a prior of the initial velocity, measured on the training recordings, of which many begin at rest
+    or shortly after; false: no prior.
+    """
     first_frames: float = 0.0
     """Share of the clips that contain the first frames of a trajectory."""
     worth: float = 0.05
-    """Share by which the cost of the fit must rise without a force for it to stay."""
+    """A force is kept only if the cost of the fit would rise by at least this share without it."""
     vision: VisionStage = VisionStage(steps=800, spread=0.5, patches=(2.0, 2.0))
     """First stage."""
     joint: JointStage = JointStage(steps=0)

@@ -38,18 +38,27 @@ class VisionStage:
     sigma: float = 0.05
     """Width of that Gaussian, image-plane units; at least ¾ of a heat-map cell."""
     constraint: tuple[float, float] = (100.0, 1000.0)
-    """Weight of the unevenness of the constraints at the first and the last step, linear between."""
+    """Weight of the penalty on constraints that vary over a batch, at the first and at the last step; linear in
+    between.
+    """
     coupling: float = 10.0
     """Initial value of this weight for constraints on several keypoints; above zero."""
     joints: float = 0.85
-    """Share of the steps in which constraints on several keypoints move only the joints."""
+    """Share of the steps, from the first one on, in which the gradient of constraints between keypoints moves joints
+    only, not free ends.
+    """
     coverage: float = 10.0
-    """Initial weight, in every second trial, of the term that pulls keypoints to what the rendered frames lack; zero
-    from a quarter of the steps on."""
+    """Initial weight of the gradient that pulls keypoints to what the rendered frames lack; zero from a quarter of the
+    steps on. `fast` and `control` use it in every second trial, `clip` in all.
+    """
     spread: float = 0.1
-    """Width that a keypoint covers at first in these trials, image-plane units; 0.1 from a fifth of the steps on."""
+    """Initial width of the region around a keypoint in that gradient, image-plane units; 0.1 from a fifth of the steps
+    on. In `clip`, half of the trials use 0.1 throughout.
+    """
     patches: tuple[float, float] = (2.0, 0.0)
-    """Weight of what patches around keypoints share in all frames, at 0.35 of the steps and from 0.7 on."""
+    """Weight of how alike the image patches around each keypoint are over all frames: its value at 0.35 of the steps,
+    and its value from 0.7 on.
+    """
     patch: float = 0.06
     """Width of these patches, image-plane units."""
     worst: float = 0.2
@@ -61,7 +70,7 @@ class DynamicsStage:
     """Dynamics alone. All settings but `worst` are for NODE2, which has no Lagrangian to identify."""
 
     steps: int = 600
-    """Optimiser steps."""
+    """Optimiser steps, of NODE2 alone; 0 for a Lagrangian, which is identified."""
     batch: int = 16
     """Clips a step."""
     rate: float = 1e-2
@@ -71,8 +80,9 @@ class DynamicsStage:
     scale: float = 0.1
     """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
     worst: float = 0.1
-    """Error of fitted motions, as a share of that of constant accelerations, above which the stage has failed, unless
-    the keypoints' own errors explain it. With 1 or more it is not judged."""
+    """The stage fails if the error of the fitted motions is larger than this share of the error of motions with constant
+    acceleration, and the errors of the keypoints do not explain it. With 1 or more the law is not judged.
+    """
 
 
 @dataclasses.dataclass(frozen=True)
@@ -160,14 +170,19 @@ class FastConfig(KeyCLDConfig):
     shared_constants: bool = True
     """All trajectories show one mechanism with one set of lengths; false: each trajectory has its own."""
     own_parameters: bool | None = None
-    """Each trajectory has a place of its own, and factors of masses and friction of its own; by default where the
-    system says that these differ. Without them nothing but the constants of the constraints may differ."""
+    """Each trajectory has its own position offset, and its own factors of the masses and of friction. Default: true if
+    the system declares that these differ. When false, only the constants of the constraints may differ between
+    trajectories.
+    """
     exchange: bool | None = None
-    """Parts exchange their looks from recording to recording, so that constraints must tell in each which keypoint is
-    which part; by default where parts look different, there are two to six with shared constants, and none has
-    parameters of its own."""
+    """The parts may swap their appearance between recordings, so the constraints must tell which keypoint is which
+    part. Default: true if there are looks, two to six keypoints with constraints, shared constants, and no own
+    parameters.
+    """
     velocity_prior: bool = True
-    """Many recordings begin at rest or shortly after it, and predictions know it; false: they begin anywhere."""
+    """Predictions use a prior of the initial velocity, measured on the training recordings, of which many begin at rest
+    or shortly after; false: no prior.
+    """
     groups: int = 4
     """Pairs of consecutive frames in a clip."""
     first_frames: float = 0.5
