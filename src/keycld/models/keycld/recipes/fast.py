@@ -70,7 +70,7 @@ class DynamicsStage:
     """Dynamics alone. All settings but `worst` are for NODE2, which has no Lagrangian to identify."""
 
     steps: int = 600
-    """Optimiser steps, of NODE2 alone; 0 for a Lagrangian, which is identified."""
+    """Optimiser steps of NODE2; a Lagrangian is identified instead and takes none."""
     batch: int = 16
     """Clips a step."""
     rate: float = 1e-2
@@ -80,8 +80,8 @@ class DynamicsStage:
     scale: float = 0.1
     """Distance, image-plane units, beyond which an error counts linearly instead of squared."""
     worst: float = 0.1
-    """The stage fails if the error of the fitted motions is larger than this share of the error of motions with constant
-    acceleration, and the errors of the keypoints do not explain it. With 1 or more the law is not judged.
+    """The stage fails if the error of the fitted motions is larger than this share of the error of motions with
+    constant acceleration, and the errors of the keypoints do not explain it. With 1 or more the law is not judged.
     """
 
 
