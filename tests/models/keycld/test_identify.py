@@ -23,7 +23,7 @@ from keycld.mechanics import (
     with_kinds,
 )
 from keycld.models import Scene, config_for
-from keycld.models.keycld import identify, law_fit, prepare
+from keycld.models.keycld import identify, law_fit, light, prepare
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
@@ -266,3 +266,16 @@ def test_singular_constraints_end_the_training_with_a_sentence(monkeypatch):
     data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
     with pytest.raises(KeycldError, match="the constraints are singular where the keypoints are"):
         prepare.identify_dynamics(model, data)
+
+
+@pytest.mark.parametrize(("preset", "recordings"), [("fast", {}), ("control", {"trajectories": 225})])
+def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatch):
+    """Those that only followed errors of the first keypoints are dropped."""
+    asked = []
+    for module in (prepare, light):
+        monkeypatch.setattr(module, "fit_dynamics", lambda model, data, **how: asked.append(how) or (model, data))
+        monkeypatch.setattr(module, "measure_velocity_prior", lambda model, data: (model, data))
+    config = config_for("keycld", preset, constraints=Constraints(("bob",), (DistanceToPoint("bob"),)))
+    data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
+    config.stages(Scene(height=16, width=16, inputs=0, frames=10, dt=0.05, trajectories=3))[-1].prepare(None, data)
+    assert asked == [{"tried": Tried(), **recordings}]

@@ -39,6 +39,6 @@ class ControlConfig(FastConfig):
         from keycld.models.keycld import prepare
 
         *stages, last = super().stages(scene)
-        fit = functools.partial(prepare.fit_dynamics, trajectories=self.last_fit)
+        fit = functools.partial(prepare.fit_dynamics, trajectories=self.last_fit, tried=self.tried)
         steps = prepare.sequence(fit, prepare.measure_velocity_prior)
         return *stages, dataclasses.replace(last, prepare=steps)
