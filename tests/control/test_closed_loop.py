@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 
 import equinox as eqx
 import jax
@@ -25,6 +26,7 @@ from keycld.control import (
     goal_of,
     nearest_pose,
     swing_up,
+    upright,
 )
 from keycld.control.requirements import plant_inputs, require
 from keycld.evaluation import save_evaluation
@@ -59,6 +61,9 @@ def test_the_pendulum_stands_up_from_pixels(result):
     assert arrays["frames"].shape == (301, 64, 64, 3) and arrays["frames"].dtype == np.uint8
     assert max(scores["worst_tilt_last_second_degrees"]) < 10 and max(scores["settled_seconds"]) < 5
     assert 2 < scores["largest_input"][0] < 6
+    stands = upright(get("pendulum"), arrays["state"])
+    assert scores["settled_seconds"] == pytest.approx([0.02 * (1 + np.flatnonzero(~each)[-1]) for each in stands])
+    np.testing.assert_array_equal(arrays["good"], stands[:, :-1])
 
 
 def test_passivity_and_timing_are_reported(result):
@@ -206,7 +211,8 @@ def test_configs_out_of_range():
     for wrong, words in (
         ({"estimator": "predict"}, "did you mean 'predict-correct'"),
         ({"trials": 0}, "--trials is at least 1, not 0"),
-        ({"seconds": 0.0}, "--seconds is at least 0.1, not 0"),
+        ({"seconds": 0.0}, "--seconds is a number of at least 0.1, not 0"),
+        ({"seconds": math.inf}, "--seconds is a number of at least 0.1, not inf"),
     ):
         with pytest.raises(KeycldError, match=words):
             ControlConfig(**wrong)

@@ -10,6 +10,8 @@ from true_physics import truth
 from keycld import KeycldError
 from keycld.control import Belief, PlanAndTrack, Weights, advance, stationary_gain, upright
 from keycld.control.lqr import frame_step
+from keycld.control.planning import Planner
+from keycld.mechanics import AbstractDynamics, Motion, State
 
 
 def in_mujoco(known, controller, state, seconds, limit):
@@ -96,3 +98,21 @@ def test_an_input_without_effect_cannot_hold():
         PlanAndTrack.towards(law, known.upright, (0,), 1.0, known.system.dt)
     with pytest.raises(KeycldError, match="needs an input limit"):
         PlanAndTrack.towards(known.law, known.upright, (0,), np.inf, known.system.dt)
+
+
+class Cliff(AbstractDynamics):
+    """A mass of 1 that a force pushes along x; what goes beyond 0.25 is lost."""
+
+    def step(self, state, u, dt):
+        x, v = state.coordinates
+        v = v + dt * jnp.concatenate([u, 0 * u])
+        x = x + dt * v
+        return State(Motion(x, jnp.where(jnp.abs(x[0]) > 0.25, jnp.nan, v)), state.parameters)
+
+
+def test_a_guess_that_diverges_costs_no_plan():
+    """One of the four first motions leaves the cliff; the other three find the goal."""
+    planner = Planner(Cliff(), jnp.array([0.03, 0.0, 0.0, 0.0]), (0,), 1, 1.0, 0.05, 40, 5, iterations=20)
+    plan = planner(jnp.zeros(4), jnp.zeros(0), jnp.eye(4))
+    assert plan.cost < 0.01 and np.isfinite(plan.u).all()
+    np.testing.assert_allclose(plan.z[-1], planner.goal, atol=0.01)

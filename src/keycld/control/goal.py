@@ -8,6 +8,7 @@ from jaxtyping import Array, Float, UInt8
 
 from keycld._errors import KeycldError
 from keycld.control.requirements import require
+from keycld.mechanics import ConstrainedLagrangian
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian
 
 _REACH = 0.15
@@ -47,6 +48,11 @@ def goal_of(model: AbstractModel, picture: UInt8[np.ndarray, "H W 3"], epsilon: 
     return goal if constants is None else nearest_pose(lagrangian, goal, constants)
 
 
+@eqx.filter_jit
+def _projected(law: ConstrainedLagrangian, goal: Array, constants: Array) -> Array:
+    return law.project_position(goal, constants, iterations=10)
+
+
 def nearest_pose(
     lagrangian: HasLagrangian, goal: Float[Array, "dim"], constants: Float[Array, "n"]
 ) -> Float[Array, "dim"]:
@@ -60,7 +66,7 @@ def nearest_pose(
     Raises:
         KeycldError: the nearest pose with these constants is too far from the goal.
     """
-    nearest = lagrangian.law.project_position(goal, constants, iterations=10)
+    nearest = _projected(lagrangian.law, goal, constants)
     distance = float(jnp.max(jnp.abs(nearest - goal)))
     if not distance <= _REACH:
         raise KeycldError(

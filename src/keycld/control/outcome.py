@@ -57,7 +57,8 @@ def outcome(
         to_upright: whether the goal is the upright pose.
         settings: stored with the scores.
     """
-    good = np.asarray(upright(system, run.state[:, 1:]) if to_upright else at_goal(run, goal))
+    # The true state is known at the end of the last frame too.
+    good = np.asarray(upright(system, run.state) if to_upright else at_goal(run, goal))
     last = max(1, round(HOLD / run.dt))
     success = np.all(good[:, -last:], axis=1)
     held = np.array([_settled(each) for each in good])
@@ -95,7 +96,7 @@ def outcome(
         "step_seconds": run.step_seconds,
         "missed": run.missed,
         "tilts": system.tilts(run.state),
-        "good": good,
+        "good": good[:, : run.input.shape[1]],
     }
     if isinstance(agent.controller, AbstractShaping):
         scores["passivity"], energies = _passivity(agent.controller, run, system, inputs)

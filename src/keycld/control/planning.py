@@ -213,6 +213,8 @@ class Planner(eqx.Module):
         still_gain = jnp.zeros((self.horizon, w.shape[1], initial.shape[0]))
         z0 = jnp.broadcast_to(initial[None, :], (self.horizon + 1, initial.shape[0]))
         z, w, first = forward(0.0, z0, w, still, still_gain)
+        # A guess that diverges is the worst one, not one that no other can be compared with.
+        first = jnp.where(jnp.isfinite(first), first, jnp.inf)
         carry, _ = jax.lax.scan(iterate, (z, w, first, jnp.float32(1e-2)), length=iterations)
         z, w, best, _ = carry
         return z, jax.vmap(lambda w: self._input(w, share))(w), best

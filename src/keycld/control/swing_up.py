@@ -1,6 +1,7 @@
 """One call from a trained model to a controlled system: goal, state estimator, controller, closed loop, scores."""
 
 import dataclasses
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -54,8 +55,8 @@ class ControlConfig:
         """Check names and numbers."""
         if self.estimator not in ESTIMATORS:
             raise unknown("state estimator", self.estimator, ESTIMATORS)
-        if not self.seconds >= 0.1:
-            raise KeycldError(f"--seconds is at least 0.1, not {self.seconds:g}.")
+        if not 0.1 <= self.seconds < math.inf:
+            raise KeycldError(f"--seconds is a number of at least 0.1, not {self.seconds:g}.")
         if self.trials < 1:
             raise KeycldError(f"--trials is at least 1, not {self.trials}.")
         check_seed(self.seed)
@@ -112,7 +113,9 @@ def swing_up(
     agent = Agent(keypoint_model, estimator, config.law.controller(problem), limit)
 
     def on_first(state: AgentState) -> None:
-        """Refuse a goal out of reach; one with shared constants was refused before."""
+        """Refuse a goal out of reach of a copy with constants of its own; shared ones are known before."""
+        if lagrangian.constants is not None:
+            return
         for k in np.flatnonzero(np.asarray(state.belief.observations)):
             nearest_pose(lagrangian, goal, state.belief.state.parameters["constants"][k])
 

@@ -1,5 +1,6 @@
 """Control with weak or missing inputs: plan a motion, track it, hold the goal, replan when the plan has failed."""
 
+import math
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
@@ -27,6 +28,7 @@ _STAY = 0.5
 """Seconds at the end of a plan in which the goal is to be held."""
 _FIRST_FRAMES = 8
 """Frames that the velocity is estimated from before the first plan."""
+_frame_step = eqx.filter_jit(frame_step)
 
 
 class Tracked(NamedTuple):
@@ -152,7 +154,7 @@ class PlanAndTrack(AbstractController):
 
     def _plan(self, belief: Belief, memory: Tracked, held: Float[Array, "l"]) -> Tracked:
         constants = belief.state.parameters["constants"]
-        z = frame_step(
+        z = _frame_step(
             self.planner.dynamics, jnp.concatenate(belief.state.coordinates), held, constants, self.planner.dt
         )
         if not memory.lost:
@@ -188,9 +190,9 @@ class PlanAndTrackLaw(AbstractControlLaw):
 
     def __post_init__(self):
         """Check that a plan has time to reach the goal before it holds it."""
-        if not self.horizon > _STAY:
+        if not _STAY < self.horizon < math.inf:
             raise KeycldError(
-                f"setting horizon is longer than {_STAY} s, which serve to hold the goal, not {self.horizon}."
+                f"setting horizon is a time longer than {_STAY} s, which serve to hold the goal, not {self.horizon}."
             )
 
     def controller(self, problem: Problem) -> PlanAndTrack:
