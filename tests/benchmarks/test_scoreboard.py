@@ -163,6 +163,16 @@ def test_nothing_is_dropped(place):
     assert rgn.name == "toy/mass_spring-rgn-0"
 
 
+def test_a_seed_that_failed_is_not_hidden_by_the_next_one(place):
+    failed, short, shorter = select(systems=TWO[:1], models=["hgn"], seeds=[0, 1, 2])
+    record_failure(failed, place, "training", "KeycldError", "not a finite number at step 3")
+    for experiment, share in ((short, 0.9), (shorter, 0.3)):
+        scored(experiment, place, 0.5)
+        write_json(place.result(experiment), {**json.loads(place.result(experiment).read_text()), "share": share})
+    (board, *_) = boards([failed, short, shorter], place)
+    assert board.notes == {("toy/mass_spring", "hgn"): "failed KeycldError, 90% of the steps, 30% of the steps"}
+
+
 def test_more_given_frames_are_marked(place):
     (original,) = select(systems=TWO[:1], models=["hgn"], preset="original")
     scored(original, place, 0.5)

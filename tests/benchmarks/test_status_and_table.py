@@ -175,6 +175,8 @@ def test_the_journal_version_has_no_published_rows(place):
         ({"preset": "journal"}, "predicts from 3 frames, but the suite keycld gives 2"),
         ({"settings": {"joint.step": 3}}, "did you mean 'joint.steps'"),
         ({"only": "acrobot-node3-0"}, "did you mean 'acrobot-node2-0'"),
+        ({"models": ["keycld", "hgn"]}, "hgn with preset 'fast' predicts from 5 frames, but the suite keycld gives 2"),
+        ({"models": ["keycld", "hgn"], "preset": "control"}, "control"),
     ],
 )
 def test_mistakes_name_the_nearest_choice(choice, words):

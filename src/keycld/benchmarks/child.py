@@ -89,7 +89,7 @@ class _Note(TypedDict):
 
 
 class _Notes:
-    """Notes in a run folder on its experiment: the hash, and the seconds spent by all processes."""
+    """Notes in a run folder on its experiment: the hash, and the seconds of the processes that were not killed."""
 
     def __init__(self, experiment: Experiment, place: Place):
         """Read the notes; a run folder of another configuration is moved aside, so that nothing is deleted."""
@@ -150,24 +150,20 @@ def evaluate_model(experiment: Experiment, place: Place) -> None:
     from keycld.evaluation import evaluate, evaluate_sweeps, references, save_evaluation, summary
     from keycld.training import load_run
 
-    run = place.run(experiment)
+    run, dataset = place.run(experiment), open_data(place.data(experiment))
     trained = (run / "checkpoints" / "latest").stat().st_mtime
-    missing = [
-        name
-        for name in (*(protocol.name for protocol in experiment.protocols), "sweeps")
-        if not _newer(run / "evaluation" / f"{name}.json", trained)
-    ]
+    wanted = [*(protocol.name for protocol in experiment.protocols), *({"sweeps"} & set(dataset.splits))]
+    missing = [name for name in wanted if not _newer(run / "evaluation" / f"{name}.json", trained)]
     if not missing:
         return
     model, _ = load_run(run)
-    dataset = open_data(place.data(experiment))
     shared = references(dataset)
     for protocol in experiment.protocols:
         if protocol.name in missing:
             result = evaluate(model, dataset, protocol, shared=shared)
             save_evaluation(run, protocol.name, result)
             print(summary(result.scores), flush=True)
-    if "sweeps" in missing and "sweeps" in dataset.splits:
+    if "sweeps" in missing:
         save_evaluation(run, "sweeps", evaluate_sweeps(model, dataset))
 
 

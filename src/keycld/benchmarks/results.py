@@ -119,7 +119,7 @@ def condense(experiment: Experiment, place: Place, seconds: dict[str, float]) ->
     Args:
         experiment: the experiment.
         place: where its run folder and data are.
-        seconds: time of each part of the work, summed over all processes.
+        seconds: time of each part of the work, of the processes that were not killed; `training.seconds` counts all.
 
     Returns:
         command, seed, commit and machine; hashes of configuration and data; cost; the scores under each protocol and

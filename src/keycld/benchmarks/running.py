@@ -191,8 +191,8 @@ def _outcome(experiment: Experiment, status: Status) -> str:
 
 def _note(costs: dict[str, list[float]], experiment: Experiment, status: Status) -> None:
     if status.word == "done" and status.result is not None:
-        seconds = status.result["seconds"]
-        costs.setdefault(experiment.model, []).append(seconds["training"] + seconds["evaluation"])
+        trained, seconds = status.result["training"]["seconds"], status.result["seconds"]
+        costs.setdefault(experiment.model, []).append(trained + seconds["evaluation"])
 
 
 def _left(costs: dict[str, list[float]], experiments: Sequence[Experiment], together: int = 1) -> str:

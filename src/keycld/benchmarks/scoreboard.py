@@ -81,7 +81,7 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
     for measure in MEASURES:
         values: dict[tuple[str, str], list[float]] = {}
         trivial: dict[str, float] = {}
-        notes: dict[tuple[str, str], str] = {}
+        remarks: dict[tuple[str, str], list[str]] = {}
         served = False
         for experiment, status in states:
             key = experiment.data.label, experiment.model
@@ -91,25 +91,25 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
             served = True
             if status.word != "done" or status.result is None:
                 kind = status.detail.partition(" ")[0] if status.word == "failed" else ""
-                notes[key] = f"{status.word} {kind}".strip()
+                remarks.setdefault(key, []).append(f"{status.word} {kind}".strip())
                 continue
             scores = status.result["scores"][protocol.name]
             value = measure.value(scores)
             if value is None:
-                notes[key] = "not finite"
+                remarks.setdefault(key, []).append("not finite")
                 continue
             values.setdefault(key, []).append(value)
-            remarks = [f"{protocol.given} frames given"] if protocol.given > 5 else []
+            if protocol.given > 5:
+                remarks.setdefault(key, []).append(f"{protocol.given} frames given")
             if status.result.get("share", 1.0) < 1.0:
-                remarks.append(f"{status.result['share']:.0%} of the steps")
-            if remarks:
-                notes[key] = ", ".join(remarks)
+                remarks.setdefault(key, []).append(f"{status.result['share']:.0%} of the steps")
             still = measure.value(scores["baselines"]["mean image"])
             if still is not None:
                 trivial[key[0]] = still
         if not served:
             continue
-        notes |= lacking
+        # What several seeds have in common is said once.
+        notes = {key: ", ".join(dict.fromkeys(each)) for key, each in remarks.items()} | lacking
         cells = {key: over_seeds(each) for key, each in values.items()}
         ours: dict[str, dict[str, float]] = {}
         for (label, model), cell in cells.items():

@@ -99,7 +99,9 @@ class Suite:
             if not systems or data.system in systems
         ]
         # Raises now if a preset or a setting does not exist or does not fit.
-        needed, least = found[0].chosen.context, min(protocol.given for protocol in self.protocols)
+        needed = {each.model: each.chosen.context for each in found}
+        least = min(protocol.given for protocol in self.protocols)
+        greedy = max(needed, key=lambda model: needed[model])
         if self.fitting:
             possible = [each for each in found if each.refusal is None]
             if not possible:
@@ -108,10 +110,10 @@ class Suite:
                     "or --models."
                 )
             found = [replace(each, protocols=_fitting(each.data, each.config(), self.protocols)) for each in possible]
-        elif needed > least:
+        elif needed[greedy] > least:
             raise KeycldError(
-                f"preset '{preset}' predicts from {needed} frames, but the suite {self.name} gives {least}: take the "
-                "suite keycld-2024."
+                f"{greedy} with preset '{preset}' predicts from {needed[greedy]} frames, but the suite {self.name} "
+                f"gives {least}: take the suite keycld-2024, or priors for the models of its paper."
             )
         fitting = tuple(experiment for experiment in found if only in experiment.name)
         if not fitting:
