@@ -1,3 +1,4 @@
+import dataclasses
 from types import SimpleNamespace
 
 import equinox as eqx
@@ -11,6 +12,7 @@ from keycld._errors import KeycldError
 from keycld.data import FrameGroups, RandomFrames, Resident, WholeTrajectories
 from keycld.models.keycld.judge import judge_trained, judge_vision
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Group, Stage, forgetful, part, warmup_cosine
+from keycld.training.loop import _mean
 from keycld.training.step import diagnose, initial_progress, make_step
 from keycld.vision import Observation
 
@@ -307,20 +309,18 @@ def test_the_broken_loss_term_is_named(data):
     assert "loss term logarithm" in str(diagnose(broken, 0, 0, progress, rest, data))
 
 
+def test_terms_are_means_over_steps_however_many_a_dispatch_took():
+    assert _mean([np.ones(25), np.full(15, 3.0)], skipping=False) == pytest.approx(1.75)
+    skipped = [np.array([np.nan, np.nan, 101.0]), np.array([0.0, 1.0, 0.0])]
+    assert _mean(skipped, skipping=True) == pytest.approx(25.5)
+    assert np.isnan(_mean([np.full(2, np.nan)], skipping=True)) and np.isnan(_mean(skipped, skipping=False))
+
+
 def test_schedule_rises_then_falls():
     schedule = warmup_cosine(1.0, 100, warmup=0.1, final=0.02)
     rates = [float(schedule(k)) for k in (0, 10, 55, 100)]
     assert rates[0] == 0 and rates[1] == pytest.approx(1) and 0.4 < rates[2] < 0.6
     assert rates[3] == pytest.approx(0.02)
-
-
-def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed(data, capsys):
-    seeing = SimpleNamespace(standardise=SimpleNamespace(deviation=np.float32(0.1)))
-    model = SimpleNamespace(estimator=seeing, renderer=SimpleNamespace(background=np.zeros((8, 8, 3))))
-    whole = 0.01 * 8 * 8 * 3
-    judged = [judge_vision(model, data, {"reconstruction": share * whole}, worst=0.2) for share in (0.1, 0.27)]
-    assert judged[0] is None and "0.27 of the mean picture's error" in str(judged[1])
-    assert "is 0.10 of the mean picture's error" in capsys.readouterr().out
 
 
 class Grey(eqx.Module):
@@ -344,6 +344,17 @@ class SeesGrey(eqx.Module):
         return Observation(jnp.stack([right, 0 * right], axis=-1)[:, None], None)
 
 
+@pytest.mark.parametrize(("gain", "share"), [(0.7, 0.09), (0.48, 0.27)])
+def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed(data, gain, share, capsys):
+    """Frames of one brightness g, rendered as gain · g, are wrong by (1 − gain)² of the mean frame's error."""
+    grey = dataclasses.replace(data, image=jnp.full(data.image.shape, 200, jnp.uint8))
+    seeing = SimpleNamespace(standardise=SimpleNamespace(deviation=np.float32(200 / 255)))
+    judged = judge_vision(SeesGrey(seeing, Grey(jnp.zeros((8, 8, 3)), gain)), grey, worst=0.2)
+    assert (judged is None) == (share < 0.2)
+    assert f"is {share:.2f} of the mean picture's error" in capsys.readouterr().out
+    assert judged is None or f"is {share:.2f} of the mean picture's error" in judged
+
+
 @pytest.mark.parametrize("gain", [1.0, 0.0])
 def test_keypoints_that_left_their_parts_fail_in_the_final_judgement(data, gain):
     whole = np.sqrt(np.mean((np.asarray(data.image) / 255.0) ** 2))
@@ -352,6 +363,6 @@ def test_keypoints_that_left_their_parts_fail_in_the_final_judgement(data, gain)
         standardise = SimpleNamespace(deviation=whole)
 
     model = SeesGrey(Seeing(), Grey(jnp.zeros((8, 8, 3)), gain))
-    judged = judge_trained(model, data, {}, reconstruction=0.2, law=0.25)
+    judged = judge_trained(model, data, reconstruction=0.2, law=0.25)
     assert (judged is None) == (gain == 1.0)
     assert judged is None or "is 1.00 of the mean picture's error" in judged

@@ -124,7 +124,7 @@ class Stage:
         candidates: number of random initialisations to try; only for a first stage.
         trial: steps of each of these trials; the one with the lowest loss continues.
         alternative: loss of every second candidate in its trial; None: `loss`. Their values must be comparable.
-        judge: says after the last step what has failed, or None, from the model, the data and the last logged terms.
+        judge: says after the last step what has failed, or None, from the model and the data.
             Training then begins again with other initial weights.
         validate: whether the validation set is scored after the last step.
         with_validation: whether the resident data are those of training and validation: for a last fit of what was
@@ -146,7 +146,7 @@ class Stage:
     candidates: int = 1
     trial: int = 0
     alternative: AbstractLoss | None = None
-    judge: Callable[[Any, Resident, Mapping[str, float]], str | None] | None = None
+    judge: Callable[[Any, Resident], str | None] | None = None
     validate: bool = False
     with_validation: bool = False
 

@@ -3,6 +3,7 @@
 import contextlib
 import dataclasses
 import functools
+import math
 import sys
 import time
 from collections.abc import Callable, Mapping
@@ -161,7 +162,8 @@ class _Trainer:
             step = self._resume(checkpoint)
             # A process that was killed may have left some.
             remove_older(checkpoint, training.keep)
-        self.metrics = Metrics(training.folder, training.before[self.number] + step)
+        begun = [stage.name for stage in training.stages[: self.number + (step > 0)]]
+        self.metrics = Metrics(training.folder, training.before[self.number] + step, begun)
 
     def _resume(self, checkpoint: Path) -> int:
         """Continue from a checkpoint, and return the step of the stage."""
@@ -192,9 +194,9 @@ class _Trainer:
         training = self.training
         while self.number < len(training.stages):
             stage = training.stages[self.number]
-            values = self._train(stage)
+            self._train(stage)
             with training.turn:
-                failure = None if stage.judge is None else stage.judge(self.model, self.data, values)
+                failure = None if stage.judge is None else stage.judge(self.model, self.data)
             if failure:
                 # Not saved: a run that resumes here fails in the same way.
                 self._restart(f"{stage.name}: {failure}")
@@ -210,8 +212,8 @@ class _Trainer:
         write_verdict(training.folder, self.failures, passed=True)
         return self.model
 
-    def _train(self, stage: Stage) -> dict[str, float]:
-        """Take the steps of a stage, and return its last logged terms."""
+    def _train(self, stage: Stage) -> None:
+        """Take the steps of a stage."""
         training = self.training
         devices, log_every, first = training.devices, training.log_every, training.before[self.number]
         # The number of the random keys of this stage in this attempt.
@@ -228,7 +230,6 @@ class _Trainer:
         saved = logged_at = time.monotonic()
         logged_frames = self.clock.frames
         pending: list[dict[str, Any]] = []
-        values: dict[str, float] = {}
         while done < stage.steps:
             chunk = min(STEPS_PER_DISPATCH, stage.steps - done, log_every - done % log_every)
             if not pinned:
@@ -268,7 +269,6 @@ class _Trainer:
                     self._save(devices.here(current), self._whole(current, rest), done)
                     saved = time.monotonic()
         self.model = self._whole(current, rest)
-        return values
 
     def _begin(self, stage: Stage, drawn: int, compiled: Callable[[int], Run], per_step: int) -> tuple[Progress, Any]:
         """Return the progress at the first step, or after the trials of several initial weights, and the rest."""
@@ -299,7 +299,7 @@ class _Trainer:
         print(f"restart      {failure}", file=sys.stderr, flush=True)
         self.model = self.training.fresh(self._again)
         self.data, self.number = self.training.source.at(0), 0
-        self.metrics = Metrics(folder, 0)
+        self.metrics = Metrics(folder, 0, [])
 
     @property
     def _again(self) -> int:
@@ -369,7 +369,7 @@ def _best(
         with training.turn:
             prepared, resident = (model, data) if stage.prepare is None else _changed(stage.prepare, model, data)
         progress, rest = initial_progress(stage, prepared)
-        # The last step is in no trial, because the terms that are logged there are judged.
+        # The last step is in no trial, so that the log has a line of the stage.
         losses, trial = [], min(stage.trial, stage.steps - 1)
         if len(models) == 1 or trial == 0:
             return progress, rest, resident
@@ -386,12 +386,12 @@ def _best(
     return progress, rest, resident
 
 
-def _mean(chunks: list[jax.Array], *, skipping: bool) -> float:
+def _mean(chunks: list[Any], *, skipping: bool) -> float:
     """Return the mean of a term over the steps of some dispatches; without those that were skipped."""
-    steps = [np.asarray(chunk) for chunk in chunks]
+    steps = np.concatenate([np.asarray(chunk) for chunk in chunks])
     if skipping:
-        steps = [chunk[np.isfinite(chunk)] for chunk in steps if np.isfinite(chunk).any()]
-    return float(np.mean([np.mean(chunk) for chunk in steps])) if steps else float("nan")
+        steps = steps[np.isfinite(steps)]
+    return float(np.mean(steps)) if len(steps) else math.nan
 
 
 def _changed(

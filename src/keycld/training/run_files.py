@@ -6,13 +6,14 @@ import os
 import platform
 import subprocess
 import sys
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, TypedDict
 
 from keycld._errors import KeycldError
 from keycld._files import read_text, write_text, writing_error
-from keycld._records import checked, read_json
+from keycld._records import Name, checked, read_json
 from keycld.models import ModelConfig, Scene, config_for
 
 SCHEMA_VERSION = 7
@@ -213,18 +214,20 @@ def refuse_failed(folder: Path) -> None:
 
 class _Line(TypedDict):
     step: int
+    stage: Name
 
 
 class Metrics:
     """The file `metrics.jsonl`: one JSON object on each line; lines after a checkpoint are dropped on resume."""
 
-    def __init__(self, folder: Path, step: int):
-        """Open the file and drop the lines after `step`, which the resumed run writes again."""
+    def __init__(self, folder: Path, step: int, stages: Sequence[str]):
+        """Open the file and drop the lines after `step` and of other stages, which the resumed run writes again."""
         self._path = folder / "metrics.jsonl"
         lines = []
         for line in read_text(self._path).splitlines() if self._path.exists() else ():
             try:
-                if checked(json.loads(line), _Line)["step"] <= step:
+                known = checked(json.loads(line), _Line)
+                if known["step"] <= step and known["stage"] in stages:
                     lines.append(line)
             except (ValueError, RecursionError):
                 continue  # an incomplete line of a killed process

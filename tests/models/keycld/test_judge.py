@@ -45,7 +45,7 @@ def judged(monkeypatch, recordings):
     def judge_tracks(stiffness, x):
         seen = jnp.asarray(x, jnp.float32), jnp.zeros((len(x), 0))
         monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: seen)
-        return judge_dynamics(cart(stiffness), recordings, {}, worst=0.1)
+        return judge_dynamics(cart(stiffness), recordings, worst=0.1)
 
     return judge_tracks
 
@@ -104,8 +104,8 @@ def test_a_slow_motion_is_judged_on_longer_stretches(monkeypatch, recordings):
         return jnp.asarray(observed(x, 0 * x, 0.0), jnp.float32), jnp.zeros((6, 0))
 
     monkeypatch.setattr(judge, "observed_keypoints", observe)
-    assert judge_dynamics(cart(1.0), recordings, {}, worst=0.1) is None
-    assert "no law was found" in judge_dynamics(cart(0.5), recordings, {}, worst=0.1)
+    assert judge_dynamics(cart(1.0), recordings, worst=0.1) is None
+    assert "no law was found" in judge_dynamics(cart(0.5), recordings, worst=0.1)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ def test_a_keypoint_on_its_pivot_or_at_no_constant_distance_from_it_fails(
     rod = Constraints(("bob",), (DistanceToPoint("bob"),))
     model = eqx.tree_at(lambda m: m.dynamics.law.constraint_function, cart(0.0), rod)
     model = eqx.tree_at(lambda m: m.initial_state.constants, model, jnp.full(1, length**2))
-    failed = judge_dynamics(model, recordings, {}, worst=worst)
+    failed = judge_dynamics(model, recordings, worst=worst)
     assert failed is failure or failure in failed
 
 
@@ -172,10 +172,9 @@ def test_a_law_that_was_chosen_is_judged_by_the_fit_it_was_chosen_with(monkeypat
     x = swings(4, 0.0)
     monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: (jnp.asarray(x), jnp.zeros((6, 0))))
     monkeypatch.setattr(judge, "judge_vision", lambda *_, **__: None)
-    monkeypatch.setattr(judge, "_rendering_error", lambda *_: 0.0)
     for name in ("dynamics", "prior"):
         with pytest.raises(SeenError) as seen:
-            stages[name].judge(cart(1.0), recordings, {})
+            stages[name].judge(cart(1.0), recordings)
         assert seen.value.args[0] == (set(config.tried.kinds) if terms is None else set()), name
 
 
@@ -189,5 +188,5 @@ def test_the_law_of_an_ablation_is_scored_and_not_judged(name, recordings, monke
     monkeypatch.setattr(judge, "observed_keypoints", lambda *_, **__: pytest.fail("judged"))
     monkeypatch.setattr(judge, "squared_error", lambda *_: jnp.array(1e6))
     stages = {stage.name: stage for stage in config.stages(scene)}
-    assert all(stages[name].judge(model, recordings, {}) is None for name in ("dynamics", "prior"))
-    assert "have not found" in stages["vision"].judge(model, recordings, {"reconstruction": 1e6})
+    assert all(stages[name].judge(model, recordings) is None for name in ("dynamics", "prior"))
+    assert "have not found" in stages["vision"].judge(model, recordings)

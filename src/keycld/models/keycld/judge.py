@@ -1,6 +1,5 @@
 """Judgements after the last step of a stage: whether it has found what the next stage builds on."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -35,22 +34,23 @@ _SEEN = 80
 _WINDOW = 7
 
 
-def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, worst: float) -> str | None:
+def judge_vision(model: Any, data: Resident, *, worst: float) -> str | None:
     """Return what has failed in the vision stage, or None: moving parts may be missing from the rendered frames.
 
     It prints the criterion.
 
-    The criterion is the reconstruction error as a share of the error of the mean frame. Measured: 0.01 to 0.08 after
-    successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
+    The criterion is the reconstruction error of some recordings, as a share of the error of the mean frame. Measured:
+    0.01 to 0.08 after successful stages, 0.27 to 1.0 after failed ones, which later stages seldom correct.
 
     Args:
         model: after the stage.
         data: the training data.
-        terms: the last logged terms of the loss.
         worst: the largest share that passes.
     """
+    some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
+    error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
-    share = terms["reconstruction"] / whole
+    share = error / whole
     # Pictures with many moving pixels have large errors, so the number in the log says little by itself.
     print(f"pictures     the reconstruction error is {share:.2f} of the mean picture's error", flush=True)
     if share < worst:
@@ -64,7 +64,6 @@ def judge_vision(model: Any, data: Resident, terms: Mapping[str, float], *, wors
 def judge_dynamics(
     model: Any,
     data: Resident,
-    terms: Mapping[str, float],
     *,
     worst: float,
     small: float = 0.0,
@@ -102,7 +101,6 @@ def judge_dynamics(
     Args:
         model: after the stage; None is returned for one without a Lagrangian.
         data: the training data.
-        terms: not used.
         worst: the largest share of the errors of constant acceleration that passes. 1 or more: everything does.
         small: pixels of error that pass. After vision alone keypoints may be wrong by tenths of a pixel, in ways that
             last for many frames; where motions are slow, a right law is then no nearer than constant accelerations.
@@ -246,7 +244,6 @@ def observation_error(law: ConstrainedLagrangian, x: Float[np.ndarray, "N T dim"
 def judge_trained(
     model: Any,
     data: Resident,
-    terms: Mapping[str, float],
     *,
     reconstruction: float,
     law: float,
@@ -261,16 +258,13 @@ def judge_trained(
     Args:
         model: after the last stage.
         data: the training data.
-        terms: not used.
-        reconstruction: `worst` of `judge_vision`, whose error is measured on some recordings.
+        reconstruction: `worst` of `judge_vision`.
         law: `worst` of `judge_dynamics`.
         small: pixels of error that pass there.
         tried: as in `judge_dynamics`.
     """
-    some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
-    error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
-    seen = judge_vision(model, data, {"reconstruction": error}, worst=reconstruction)
-    return seen or judge_dynamics(model, data, terms, worst=law, small=small, loose=_TIGHT, tried=tried)
+    seen = judge_vision(model, data, worst=reconstruction)
+    return seen or judge_dynamics(model, data, worst=law, small=small, loose=_TIGHT, tried=tried)
 
 
 @eqx.filter_jit
