@@ -82,6 +82,10 @@ def test_stale_results(place):
     place.result(experiment).write_text('{"half": ')
     found = status_of(experiment, place)
     assert found.word == "missing" and "damaged" in found.detail
+    place.result(experiment).unlink()
+    place.failure(experiment).write_text('{"half": ')
+    found = status_of(experiment, place)
+    assert found.word == "missing" and "failed.json is damaged" in found.detail
 
 
 def test_a_result_holds_its_command_commit_and_hashes(place):

@@ -49,7 +49,10 @@ def status_of(experiment: Experiment, place: Place) -> Status:
         if lock.silent > _SILENT_SECONDS:
             detail += f", without a sign of life for {_minutes(lock.silent)}"
         return Status("running", detail, result)
-    failure = read_json(place.failure(experiment), Failure)
+    try:
+        failure = read_json(place.failure(experiment), Failure)
+    except KeycldError as error:
+        failure, damage = None, damage or str(error)
     if failure is not None and failure["config_hash"] == now:
         return Status("failed", f"{failure['kind']} during {failure['during']}: {failure['sentence']}", result)
     if result is not None:
