@@ -31,8 +31,8 @@ def evaluate(
         data: Data set to score on; by default the one of the training. Results on another one get its name as a suffix,
             such as test@50-mine.
         protocols: Such as test@50, validation@50, test_long@200 or test@256-priors, with a suffix -given-N, -from-K
-            (recordings from frame K on) or -backward, such as test_long@50-from-30. By default all standard ones for
-            which the data have files.
+            (recordings from frame K on) or -backward, such as test_long@50-from-30. By default all standard ones of
+            the data; test_long.h5 is made if it is needed.
         given: Number of given frames, in place of the protocols' own; more frames make a better initial state.
         symetric: Score how canonical the map from the model's states to the true ones is, in place of all protocols:
             SyMetric, which needs scikit-learn.
