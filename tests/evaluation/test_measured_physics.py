@@ -181,7 +181,7 @@ def test_halves_are_measured_where_the_motions_of_the_whole_diverge_or_miss_it(m
             raise KeycldError("the fitted motions diverge")
         return Estimate(*[None] * 11, misfit=misfit if x.shape[1] > follows else 0.01)
 
-    monkeypatch.setattr(physics, "follow", lambda *_: SimpleNamespace(dynamics=None, initial=None))
+    monkeypatch.setattr(physics, "climb", lambda *_: SimpleNamespace(dynamics=None, initial=None))
     monkeypatch.setattr(physics, "free_leaves", lambda *_: None)
     monkeypatch.setattr(physics, "estimate", estimate)
     angle = 0.3 * np.arange(128)

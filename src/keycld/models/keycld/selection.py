@@ -1,6 +1,8 @@
 """Selection of the terms of V and R that a motion asks for, from the curvature of a fit with all of them."""
 
 import dataclasses
+from collections.abc import Mapping, Set
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -10,6 +12,7 @@ from jax.flatten_util import ravel_pytree
 
 from keycld.mechanics import (
     AbstractDissipationTerm,
+    AbstractTerm,
     ConstrainedLagrangian,
     Fitted,
     MechanicalDynamics,
@@ -61,48 +64,107 @@ def select_terms(fitted: Fitted, tracks: Tracks, tried: Tried) -> tuple[Mechanic
     """
     fitted = _with_own_held(fitted, tracks)
     paths = fitted.paths if fitted.own is None else jax.vmap(moved)(fitted.paths, fitted.own[:, :2])
-    parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
-    theta, owner, counts, masses = [], [], [], []
     kinds = terms_of(lagrangian(fitted.dynamics))
-    for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
-        name = jax.tree_util.keystr(path)
-        kind = owner_of(path, kinds)
-        theta.append(np.asarray(leaf, float).ravel())
-        owner += [kind] * leaf.size
-        masses += [".mass." in name] * leaf.size
-        counts += [kind is None or name.rsplit(".", 1)[-1] not in kinds[kind].nonlinear] * leaf.size
-    flat, owners, linear = np.concatenate(theta), np.array(owner, object), np.array(counts)
-    curvature = np.asarray(fitted.curvature, float)
-    # Masses follow by about a fifth only: with no mass at all any force could be missing, and where forces act between
-    # keypoints alone, such as attraction, this is true of their relative motion for each total mass.
-    heavy = np.array(masses)
-    step = _FOLLOW * np.sqrt(np.mean(flat[heavy] ** 2))
-    curvature = curvature + np.diag(np.where(heavy, 2 * WORTH * float(fitted.cost) / step**2, 0.0))
-    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
-    curvature, flat = curvature / scale[:, None] / scale[None, :], flat * scale
-    _, unravel = ravel_pytree(parameters)
+    parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
+    numbers = _Numbers.of(parameters, kinds)
+    unscaled, unravel = ravel_pytree(parameters)
+    cost, scale = _quadratic(fitted, np.asarray(unscaled, float), numbers.mass)
 
-    def dynamics(flat: np.ndarray) -> MechanicalDynamics:
-        return eqx.combine(unravel(jnp.asarray(flat / scale, jnp.float32)), rest)
+    def dynamics(theta: np.ndarray) -> MechanicalDynamics:
+        return eqx.combine(unravel(jnp.asarray(theta / scale, jnp.float32)), rest)
 
     kept, worth = set(kinds), {}
     dissipations = {kind for kind, term in kinds.items() if isinstance(term, AbstractDissipationTerm)}
     for kind in sorted(kinds, key=lambda kind: kinds[kind].rank, reverse=True):
-        group, others = linear & (owners == kind), _others(owners, kept - {kind})
+        group, others = numbers.acting({kind}), numbers.following(kept - {kind})
         gives = False
         if kind in dissipations:
-            rivals = linear & np.array([owner in (kept & dissipations) - {kind} for owner in owners])
-            alone = _without(curvature, flat, rivals, _others(owners, (kept - dissipations) | {kind}))
-            laws = [alone, flat] if tried.takes else [alone]
-            gives = any(float(_power(lagrangian(dynamics(law)), kind, paths, tracks.dt)) <= 0 for law in laws)
-        worth[kind] = 0.0 if gives else _rise(curvature, flat, group, others) / float(fitted.cost)
+            rivals = numbers.acting((kept & dissipations) - {kind})
+            alone = cost.without(rivals, numbers.following((kept - dissipations) | {kind}))
+            laws = [alone, cost] if tried.takes else [alone]
+            gives = any(float(_power(lagrangian(dynamics(law.theta)), kind, paths, tracks.dt)) <= 0 for law in laws)
+        worth[kind] = 0.0 if gives else cost.rise(group, others) / float(fitted.cost)
         if worth[kind] < tried.worth:
             kept.remove(kind)
             # What the others take over.
-            flat = _without(curvature, flat, group, others)
-    left = dynamics(flat)
+            cost = cost.without(group, others)
+    left = dynamics(cost.theta)
     terms = {kind: term for kind, term in terms_of(lagrangian(left)).items() if kind in kept}
     return with_law(left, with_terms(lagrangian(left), terms)), worth
+
+
+class _Numbers(NamedTuple):
+    """What the free numbers of dynamics are, `[P]` each.
+
+    Attributes:
+        owner: kind of the term that has the number; None: no term has.
+        linear: whether V or R is linear in it: without the term these are zero.
+        mass: whether it is one of the mass matrix.
+    """
+
+    owner: np.ndarray
+    linear: np.ndarray
+    mass: np.ndarray
+
+    @classmethod
+    def of(cls, parameters: Any, kinds: Mapping[str, AbstractTerm]) -> "_Numbers":
+        """Return what the leaves of dynamics are, in the order of `ravel_pytree`."""
+        owner, linear, mass = [], [], []
+        for path, leaf in jax.tree_util.tree_leaves_with_path(parameters):
+            name, kind = jax.tree_util.keystr(path), owner_of(path, kinds)
+            owner += [kind] * leaf.size
+            linear += [kind is None or name.rsplit(".", 1)[-1] not in kinds[kind].nonlinear] * leaf.size
+            mass += [".mass." in name] * leaf.size
+        return cls(np.array(owner, object), np.array(linear), np.array(mass))
+
+    def acting(self, kinds: Set[str]) -> np.ndarray:
+        """Return which numbers are zero without terms of these kinds."""
+        return self.linear & np.array([owner in kinds for owner in self.owner])
+
+    def following(self, kinds: Set[str]) -> np.ndarray:
+        """Return which numbers may change while only terms of these kinds act."""
+        return np.array([owner is None or owner in kinds for owner in self.owner])
+
+
+class _Quadratic(NamedTuple):
+    """The cost of a fit near its minimum: ½ δᵀ H δ more at θ + δ.
+
+    Attributes:
+        curvature: H, `[P, P]`.
+        theta: θ, `[P]`.
+    """
+
+    curvature: np.ndarray
+    theta: np.ndarray
+
+    def rise(self, group: np.ndarray, others: np.ndarray) -> float:
+        """Return by how much the cost rises if a group of parameters becomes zero and the others follow."""
+        mixed = self.curvature[np.ix_(group, others)]
+        schur = self.curvature[np.ix_(group, group)] - mixed @ self._softness(others) @ mixed.T
+        return max(0.0, 0.5 * float(self.theta[group] @ schur @ self.theta[group]))
+
+    def without(self, group: np.ndarray, others: np.ndarray) -> "_Quadratic":
+        """Return the same cost at the θ where a group is zero and the others have followed."""
+        theta = self.theta.copy()
+        theta[others] += self._softness(others) @ self.curvature[np.ix_(others, group)] @ theta[group]
+        theta[group] = 0.0
+        return self._replace(theta=theta)
+
+    def _softness(self, some: np.ndarray) -> np.ndarray:
+        return np.linalg.pinv(self.curvature[np.ix_(some, some)], rcond=1e-6, hermitian=True)
+
+
+def _quadratic(fitted: Fitted, theta: np.ndarray, mass: np.ndarray) -> tuple[_Quadratic, np.ndarray]:
+    """Return the cost of a fit in parameters of equal curvature, θ times the scale, and the scale `[P]`.
+
+    Masses follow by about a fifth only: with no mass at all any force could be missing, and where forces act between
+    keypoints alone, such as attraction, this is true of their relative motion for each total mass.
+    """
+    curvature = np.asarray(fitted.curvature, float)
+    step = _FOLLOW * np.sqrt(np.mean(theta[mass] ** 2))
+    curvature = curvature + np.diag(np.where(mass, 2 * WORTH * float(fitted.cost) / step**2, 0.0))
+    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
+    return _Quadratic(curvature / scale[:, None] / scale[None, :], theta * scale), scale
 
 
 def _with_own_held(fitted: Fitted, tracks: Tracks) -> Fitted:
@@ -127,23 +189,3 @@ def _power(law: ConstrainedLagrangian, kind: str, paths: jax.Array, dt: jax.Arra
     x = paths[:, 1:-1].reshape(-1, paths.shape[-1])
     v = ((paths[:, 2:] - paths[:, :-2]) / (2 * dt)).reshape(-1, paths.shape[-1])
     return jnp.mean(jnp.sum(v * jax.vmap(jax.grad(term, argnums=1))(x, v), axis=1))
-
-
-def _others(owners: np.ndarray, kinds: set[str]) -> np.ndarray:
-    return np.array([owner is None or owner in kinds for owner in owners])
-
-
-def _rise(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> float:
-    """Return by how much the cost rises if a group of parameters becomes zero and the others follow."""
-    mixed = curvature[np.ix_(group, others)]
-    follow = np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-6, hermitian=True)
-    schur = curvature[np.ix_(group, group)] - mixed @ follow @ mixed.T
-    return max(0.0, 0.5 * float(theta[group] @ schur @ theta[group]))
-
-
-def _without(curvature: np.ndarray, theta: np.ndarray, group: np.ndarray, others: np.ndarray) -> np.ndarray:
-    follow = np.linalg.pinv(curvature[np.ix_(others, others)], rcond=1e-6, hermitian=True)
-    theta = theta.copy()
-    theta[others] += follow @ curvature[np.ix_(others, group)] @ theta[group]
-    theta[group] = 0.0
-    return theta
