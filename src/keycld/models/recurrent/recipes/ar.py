@@ -31,15 +31,23 @@ class PaperAR(RecurrentConfig):
 @register_preset("fast", "ar")
 @dataclasses.dataclass(frozen=True)
 class FastAR(RecurrentConfig):
-    """AR with what our recipe of the latent models changes: a small decoder, few rendered frames, small batches."""
+    """AR for a CPU: lighter convolutions, few rendered frames, small batches and two cells that learn at once.
 
-    cell: str = "lstm"
-    """Kind of the recurrent cells: `vanilla`, `lstm` or `gru`."""
+    Measured on `toy/mass_spring`, the explained share of the variance of next frames: two vanilla cells 0.96 after 250
+    steps, five 0.79 (at a third of the rate), two of LSTM 0.91 after 400, and five, at that rate, nothing after 100.
+    """
+
+    layers: int = 2
+    """Recurrent cells, one after the other."""
+    channels: int = 32
+    """Channels of the convolutions."""
     taper: bool = True
     """Whether the decoder halves its channels each time it doubles the picture: a sixth of the work."""
+    window: int = 20
+    """Frames of a training window; shorter trajectories are used whole."""
     rendered: int = 8
     """Random predicted frames of each window that a step renders and compares; 0: all of them."""
-    rate: float = 5e-4
+    rate: float = 1.5e-3
     """Learning rate of Adam."""
     batch: int = 16
     """Windows a step."""
