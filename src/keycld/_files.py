@@ -176,14 +176,14 @@ def read_bytes(path: Path, most: int = LARGEST_TEXT) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Read a file as UTF-8 text.
+    """Read a file as UTF-8 text, without the mark at its beginning that some editors write.
 
     Raises:
         FileNotFoundError: there is none.
         KeycldError: as `read_bytes`, or it is no text.
     """
     try:
-        return read_bytes(path).decode("utf-8")
+        return read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise KeycldError(f"{path} is not UTF-8 text ({error.reason}): check the path, or restore the file.") from None
 

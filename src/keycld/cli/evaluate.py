@@ -52,14 +52,14 @@ def evaluate(
     )
     from keycld.evaluation import evaluate as score
     from keycld.models.base import HasLagrangian
-    from keycld.training import Counted, finished, load_run, pretrained, run_folder
+    from keycld.training import Counted, data_folder, finished, load_run, pretrained, run_folder
 
     folder, asked = run_folder(run), data
     model, config = load_run(folder)
     if not finished(folder):
         print(f"the training of {folder} is not finished; scoring its newest checkpoint", file=sys.stderr)
     if data is None:
-        data = config.data
+        data = str(data_folder(folder, config.data))
         if not Path(data).is_dir():
             # Data for a packaged model can be made here; a run needs the data that it was trained on.
             if run not in pretrained():

@@ -34,7 +34,7 @@ def export(
         metres: Of one image-plane unit; by default metres_per_unit of RUN/evaluation/physics.json, or 1 without it.
     """
     from keycld.models.base import HasKeypoints, HasLagrangian
-    from keycld.training import load_run, run_folder
+    from keycld.training import data_folder, load_run, run_folder
 
     folder = run_folder(run)
     model, config = load_run(folder)
@@ -50,7 +50,7 @@ def export(
             raise KeycldError(f"the model of {folder} has no law with constant lengths: train with the preset fast.")
         _write_model(model, target if to == "mjcf" else target / "model.xml", size)
     if to != "mjcf":
-        _write_tracks(model, data or config.data, split, to, target, size)
+        _write_tracks(model, data or str(data_folder(folder, config.data)), split, to, target, size)
     print(f"exported: {target}")
 
 

@@ -27,12 +27,12 @@ def live(source: Path, run: Path, *, seconds: float, given: int, port: int) -> N
     from keycld.evaluation import Ahead
     from keycld.models.keycld.model import AbstractKeypointModel
     from keycld.reports import live_page
-    from keycld.training import load_model
+    from keycld.training import data_folder, load_model
 
     model, config = load_model(run)
     if not isinstance(model, AbstractKeypointModel):
         raise KeycldError(f"{run} is not a model with keypoints: give the run folder of a keycld watch.")
-    data = open_data(config.data)
+    data = open_data(data_folder(run, config.data))
     steps = round(seconds / data.dt)
     if not 1 <= steps <= 1000:
         raise KeycldError(f"--ahead is a time of 1 to 1000 frames of {data.dt:.4g} s, not {seconds} s.")

@@ -111,6 +111,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise unknown("verb", words[0], verbs, listed="`keycld --help`")
         if words[:1] == ["train"]:
             verbs = {**verbs, "train": train.with_settings(words)}
+        if words and words[0] in verbs:
+            # The others would only slow down the start, and their options would be suggested for this one.
+            verbs = {words[0]: verbs[words[0]]}
         tyro.extras.subcommand_cli_from_dict(verbs, prog=prog, description=description, args=words or ["--help"])
     except KeycldError as error:
         if debug:

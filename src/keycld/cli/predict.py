@@ -34,8 +34,10 @@ def predict(
     """
     from keycld.data import clip_file, open_data, read, usual_for
     from keycld.evaluation import predict_file
-    from keycld.training import Counted, load_model
+    from keycld.training import Counted, data_folder, load_model
 
+    if out.exists() and data.exists() and out.samefile(data):
+        raise KeycldError(f"'{out}' is the data itself: give another file for the predictions.")
     if data.is_dir():
         raise KeycldError(f"{data} is a folder: name a file in it, such as {data / 'test.h5'}.")
     model, config = load_model(run)
@@ -45,7 +47,7 @@ def predict(
         file = data
         if data.suffix.lower() not in _HDF5:
             size = int(config.scene["height"])
-            learned = open_data(config.data)
+            learned = open_data(data_folder(run, config.data))
             out_file = Path(folder) / f"{data.stem}.h5"
             file = clip_file(data, out_file, learned.attributes, size, usual=usual_for(learned))
         number = _frame(first, lambda: read(file, images=False, rows=slice(0, 1)).dt)

@@ -215,6 +215,8 @@ def _claimed(
         **{name: list(value) if isinstance(value, tuple) else value for name, value in options.items()},
     }
     there = run.exists()
+    if (run / "config.json").exists() and not (run / _REQUEST).exists():
+        raise KeycldError(f"{run} is a run of keycld train: choose another --out.")
     if (run / _REQUEST).exists():
         before = read_json(run / _REQUEST, dict[str, Any], f"delete {run}")
         for name, value in request.items():
@@ -270,9 +272,9 @@ def _measured_without_model(
     if verdict is None or verdict["passed"]:
         return None
     config = read_config(run).model_config()
-    assert isinstance(config, ClipConfig)
-    with contextlib.suppress(KeycldError):
-        return measure_parts(clip, run, options, mechanism, config.tried, scale)
+    if isinstance(config, ClipConfig):
+        with contextlib.suppress(KeycldError):
+            return measure_parts(clip, run, options, mechanism, config.tried, scale)
     return None
 
 

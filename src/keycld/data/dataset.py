@@ -158,7 +158,8 @@ class DataSet:
         """Names of the inputs; "input 1" and so on if the file does not name them, () if nothing drives the motion."""
         first = self._first
         numbered = tuple(f"input {k + 1}" for k in range(first.input.shape[-1]))
-        return tuple(first.attributes.get("input_names", numbered))
+        named = first.attributes.get("input_names", numbered)
+        return (named,) if isinstance(named, str) else tuple(named)
 
     @property
     def statistics(self) -> dict[str, Any] | None:

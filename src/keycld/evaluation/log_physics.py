@@ -1,5 +1,6 @@
 """Identification of a rig from a log of joint positions and torques."""
 
+import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -64,6 +65,11 @@ def identify_log(
     if not 0 <= held < 0.9:
         raise KeycldError(f"the held-out share is from 0 to 0.9, not {held}.")
     long = lengths or (1.0,) * len(joints)
+    if len(long) != len(joints) or not all(0 < length < math.inf for length in long):
+        said = " ".join(f"{length:g}" for length in long)
+        raise KeycldError(f"--lengths are {len(joints)} lengths above 0, one a joint, not {said}.")
+    if not np.any(log.u):
+        raise KeycldError("all torques of this log are zero: a free swing does not tell inertias, so drive the joints.")
     torque = np.pad(log.u, ((0, 0), (0, len(joints) - log.u.shape[1])))
     fitted = round((1 - held) * len(log.q))
     found = fit_joint_law(joints, long, log.q[:fitted], torque[:fitted], log.dt)

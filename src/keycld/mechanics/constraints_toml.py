@@ -42,7 +42,7 @@ def load_constraints(path: str | Path) -> Constraints:
         KeycldError: if the file cannot be read or says something else; it names the file, the entry and the fix. If
             there is neither such a file nor such a mechanism; it names the nearest mechanism.
     """
-    if (name := str(path)) in mechanisms() and not Path(path).exists():
+    if (name := str(path)) in mechanisms() and not Path(path).is_file():
         text = resources.files(_MECHANISMS).joinpath(f"{name}.toml").read_text(encoding="utf-8")
         return parse_constraints(text, f"the mechanism {name}")
     try:

@@ -8,6 +8,7 @@ from keycld._progress import Counted as Counted
 
 if TYPE_CHECKING:
     # Commands that only read run folders import what they need of this, without models.
+    from keycld.training.packaged import data_folder as data_folder
     from keycld.training.packaged import load_model as load_model
     from keycld.training.packaged import pack as pack
     from keycld.training.packaged import pretrained as pretrained
@@ -32,6 +33,7 @@ __all__ = [
     "Member",
     "RunConfig",
     "Together",
+    "data_folder",
     "environment",
     "finished",
     "join",

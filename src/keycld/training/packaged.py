@@ -55,6 +55,20 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
         raise KeycldError(f"the packaged model '{run}' is damaged ({error}): install keycld again.") from error
 
 
+def data_folder(run: str | Path, named: str | Path) -> Path:
+    """Return the folder of the data that a run was trained on.
+
+    It is the one that the configuration names, seen from the working directory. Where that is missing, it is `data` in
+    the run folder, where `keycld watch` puts them: a run may be renamed, or used from elsewhere.
+
+    Args:
+        run: a run folder, or the name of a model in the package.
+        named: the folder that its configuration names.
+    """
+    inside = Path(run) / "data"
+    return inside if inside.is_dir() and not Path(named).is_dir() else Path(named)
+
+
 def run_folder(run: str | Path) -> Path:
     """Return the folder of a run; for a model in the package `runs/NAME-pretrained`, which is made if it is missing.
 

@@ -74,4 +74,6 @@ def write_time_series(folder: Path, tracks: KeypointTracks, metres: float = 1.0)
                 signal_mapping=np.asarray(mapping),
             )
         paths.append(path)
+    for path in set(folder.glob("recording_*.npz")) - set(paths):
+        path.unlink()  # of an earlier export of more recordings
     return paths

@@ -2,9 +2,11 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NotRequired, TypedDict
 
+from keycld._errors import KeycldError
 from keycld._files import remove_orphans, write_text
 from keycld._records import Name, read_json
 
@@ -49,6 +51,20 @@ class _Statistics(TypedDict):
     parameters: NotRequired[dict[str, dict[str, float]]]
     conserved: NotRequired[dict[str, float]]
     baselines: NotRequired[dict[str, dict[str, float]]]
+
+
+def refuse_foreign(folder: Path, names: Sequence[str]) -> None:
+    """Refuse a folder without data in which files with these names would be replaced.
+
+    Raises:
+        KeycldError: there is one of them.
+    """
+    ours = (PARTIAL, _STATISTICS)
+    if any((folder / name).exists() for name in ours) or any(folder.glob("*.h5")):
+        return
+    for name in names:
+        if (folder / name).exists():
+            raise KeycldError(f"{folder} holds a {name} that data would replace: choose another folder.")
 
 
 def unfinished(folder: Path) -> bool:

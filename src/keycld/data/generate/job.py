@@ -12,7 +12,7 @@ from typing import Any
 from keycld._errors import KeycldError
 from keycld._files import make_folder, write_text
 from keycld.data.describe.finish import describe_more, finish
-from keycld.data.format.folder import PARTIAL, read_statistics
+from keycld.data.format.folder import PARTIAL, read_statistics, refuse_foreign
 from keycld.data.format.reading import read
 from keycld.data.format.writing import join
 from keycld.data.generate.recipes import ON_DEMAND, begun_recipe, deferred, parts_of, refuse_another, stored_recipe
@@ -109,6 +109,7 @@ class Job:
             shutil.rmtree(partial, ignore_errors=True)
             return self.made(False, 0)
         missing = self._missing()
+        refuse_foreign(folder, ("README.md",))
         make_folder(partial)
         write_text(partial / "recipe.json", json.dumps(self._recipe))
         if read_statistics(folder) is not None and set(missing) <= set(ON_DEMAND):

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from keycld._errors import KeycldError
 from keycld._files import make_folder
-from keycld.data.format.folder import PARTIAL, read_statistics, unfinished
+from keycld.data.format.folder import CONSTRAINTS, PARTIAL, read_statistics, refuse_foreign, unfinished
 
 
 def claim(folder: Path) -> Path:
@@ -14,6 +14,7 @@ def claim(folder: Path) -> Path:
     Raises:
         KeycldError: it holds other data.
     """
+    refuse_foreign(folder, ("README.md", CONSTRAINTS))
     parts = folder / PARTIAL
     if read_statistics(folder) is not None:  # an import that was killed after its last file left its parts
         shutil.rmtree(parts, ignore_errors=True)

@@ -1,6 +1,7 @@
 """A log of a rig with encoders: a CSV table with time, joint positions and torques."""
 
 import csv
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -43,13 +44,15 @@ def read_log(path: str | Path, positions: tuple[str, ...], inputs: tuple[str, ..
     """
     path = Path(path)
     try:
-        rows = list(csv.reader(read_text(path).splitlines()))
+        rows = list(csv.reader(read_text(path).rstrip().splitlines()))
     except FileNotFoundError as error:
         raise KeycldError(f"there is no log {path}: check the path.") from error
     names = [name.strip() for name in rows[0]] if rows else []
     columns = []
     for name in (time, *positions, *inputs):
         if name not in names:
+            if len(names) == 1 and (other := re.search(r"[;\t]", names[0])):
+                raise KeycldError(f"columns of {path} are separated by {other[0]!r}: separate them by commas.")
             raise unknown("column", name, names or ["none: the file is empty"], of=str(path))
         columns.append(names.index(name))
     if len(rows) - 1 < _FEWEST:

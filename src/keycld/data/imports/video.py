@@ -244,9 +244,11 @@ def decode(
     most, frame, count = 10_000 + path.stat().st_size // 8, size * size * 3, 0
     expected = math.ceil(max(0.0, seconds - skip) * rate)
     progress = Counted(path.name[:12])
-    options = [*input_options(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo", "-"]
+    # Raw streams hold no times to skip to: even 0 s would skip all of them.
+    skipped = ("-ss", str(skip)) if skip else ()
+    options = [*skipped, *input_options(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo", "-"]
     try:
-        with ffmpeg("-v", "error", "-ss", str(skip), *options) as process:
+        with ffmpeg("-v", "error", *options) as process:
             while len(picture := process.read(frame)) == frame:
                 spool.write(picture)
                 count += 1

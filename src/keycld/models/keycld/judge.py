@@ -57,7 +57,8 @@ def judge_vision(model: Any, data: Resident, *, worst: float) -> str | None:
         return None
     return (
         f"the keypoints have not found their parts: the reconstruction error is {share:.2f} of the mean picture's "
-        f"error, more than {worst:g}. Try --vision.steps 2000, or check that there is a keypoint for each moving part."
+        f"error, more than {worst:g}. Try --vision.steps 2000 (keycld watch: --set vision.steps=2000), or check that "
+        "there is a keypoint for each moving part."
     )
 
 

@@ -1,0 +1,125 @@
+"""What people really pass to the command: files of theirs in the way, other encodings, mistyped options."""
+
+import re
+import subprocess
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+
+from keycld.cli.main import main
+from keycld.data import open_data
+from keycld.data.export.tracks import KeypointTracks, write_time_series
+from keycld.data.imports.log import read_log
+from keycld.drawing import save_movie
+from keycld.training import data_folder
+
+LOG = ["time,angle,tau", *(f"{k / 100},{np.sin(k / 9):.5f},{np.cos(k / 7):.5f}" for k in range(60))]
+IDENTIFY = ["--mechanism", "pendulum", "--position", "angle", "--input", "tau"]
+
+
+@pytest.fixture
+def clip(tmp_path):
+    frames = np.full((40, 32, 32, 3), 40, np.uint8)
+    for t in range(40):
+        frames[t, 10:16, t % 26 : t % 26 + 6] = 220
+    save_movie(tmp_path / "a clip.mp4", frames, fps=25.0, scale=1)
+    return tmp_path / "a clip.mp4"
+
+
+def refused(capsys, *words):
+    assert main([str(word) for word in words]) == 2
+    return capsys.readouterr().err
+
+
+def test_predictions_do_not_replace_the_video(clip, capsys):
+    before = clip.read_bytes()
+    assert "is the data itself" in refused(capsys, "predict", "pendulum", "--data", clip, "--out", clip)
+    assert clip.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (["watch", "a.mp4", "--mechnism", "pendulum"], "--mechanism"),
+        (["models", "--jsn"], "--json"),
+        (["data", "import", "a.mp4", "--siz", "16", "--out", "d"], "--size"),
+    ],
+)
+def test_a_mistyped_option_is_named_with_the_nearest_one(words, meant, capfd):
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    printed = "".join(capfd.readouterr())
+    wrong = next(word for word in words if word.startswith("--"))
+    assert end.value.code == 2 and f"Unrecognized options: {wrong}" in printed and meant in printed
+
+
+@pytest.mark.parametrize("name", ["README.md", "constraints.toml"])
+def test_an_import_replaces_no_file_of_others(clip, tmp_path, name, capsys):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / name).write_text("my notes")
+    words = ["data", "import", clip, "--out", tmp_path / "mine", "--frames", "10", "--size", "16"]
+    assert f"holds a {name} that data would replace" in refused(capsys, *words, "--mechanism", "pendulum")
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {name, ".lock"}
+    assert (tmp_path / "mine" / name).read_text() == "my notes"
+
+
+def test_making_data_replaces_no_readme_of_others(tmp_path, capsys):
+    (tmp_path / "README.md").write_text("my notes")
+    words = ["data", "make", "toy/mass_spring", "--train", "2", "--test", "1", "--out", tmp_path]
+    assert "holds a README.md that data would replace" in refused(capsys, *words)
+    assert (tmp_path / "README.md").read_text() == "my notes"
+
+
+def test_a_raw_stream_and_a_folder_named_like_the_mechanism(clip, tmp_path, monkeypatch):
+    """Such as a Raspberry Pi's camera writes: without times to skip to."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pendulum").mkdir()
+    command = [imageio_ffmpeg.get_ffmpeg_exe(), "-v", "error", "-i", clip, "-c", "copy", "pendulum/raw.h264"]
+    subprocess.run(command, check=True)
+    words = ["data", "import", "pendulum/raw.h264", "--out", "d", "--frames", "10", "--size", "16"]
+    assert main([*words, "--mechanism", "pendulum"]) == 0
+    assert sum(len(open_data("d").split(name)) for name in ("train", "validation", "test")) == 4
+
+
+def test_the_data_of_a_run_that_was_moved_are_in_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert str(data_folder(tmp_path / "new", "runs/old/data")) == "runs/old/data"
+    (tmp_path / "new" / "data").mkdir(parents=True)
+    assert data_folder(tmp_path / "new", "runs/old/data") == tmp_path / "new" / "data"
+    (tmp_path / "runs" / "old" / "data").mkdir(parents=True)
+    assert str(data_folder(tmp_path / "new", "runs/old/data")) == "runs/old/data"
+
+
+@pytest.mark.parametrize(
+    ("lines", "more", "sentence"),
+    [
+        (["time;angle;tau", *LOG[1:]], [], "columns of .* are separated by ';': separate them by commas"),
+        (LOG, ["--lengths", "1", "2"], "--lengths are 1 lengths above 0, one a joint, not 1 2"),
+        (LOG, ["--lengths", "0"], "--lengths are 1 lengths above 0, one a joint, not 0"),
+        ([line if k == 0 else line.rpartition(",")[0] + ",0" for k, line in enumerate(LOG)], [], "torques .* are zero"),
+    ],
+)
+def test_logs_and_lengths_that_tell_nothing_are_refused(tmp_path, lines, more, sentence, capsys):
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    assert re.search(sentence, refused(capsys, "identify", tmp_path / "log.csv", *IDENTIFY, *more))
+
+
+def test_a_table_as_excel_writes_it_is_read(tmp_path):
+    (tmp_path / "log.csv").write_text("﻿" + "\r\n".join([*LOG, "", ""]), encoding="utf-8")
+    assert read_log(tmp_path / "log.csv", ("angle",), ("tau",)).q.shape == (60, 1)
+
+
+def test_an_export_leaves_no_recording_of_an_earlier_one(tmp_path):
+    for count in (3, 1):
+        tracks = KeypointTracks(("bob",), np.zeros((count, 5, 1, 2)), np.zeros((count, 5, 0)), 0.1)
+        paths = write_time_series(tmp_path, tracks)
+    assert sorted(tmp_path.glob("*.npz")) == paths and len(paths) == 1
+
+
+def test_watch_does_not_write_into_a_run_of_train(clip, tmp_path, capsys):
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "config.json").write_text("{}")
+    words = ["watch", clip, "--mechanism", "pendulum", "--out", tmp_path / "run"]
+    assert "is a run of keycld train: choose another --out" in refused(capsys, *words)
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]
