@@ -83,6 +83,7 @@ def test_wrong_names_and_settings():
         ("shaping", {"kp": 0.0}, "kp is a positive number, not 0.0"),
         ("zero", {"kp": 1.0}, "'zero' has no settings: leave out kp"),
         ("mpc", {"horizon": 0.2}, "horizon is longer than 0.5 s"),
+        ("mpc", {"horizon": np.inf}, "and finite, not inf"),
     ):
         with pytest.raises(KeycldError, match=words):
             law_named(name, settings)

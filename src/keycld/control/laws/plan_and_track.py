@@ -192,7 +192,7 @@ class PlanAndTrackLaw(AbstractControlLaw):
         """Check that a plan has time to reach the goal before it holds it."""
         if not _STAY < self.horizon < math.inf:
             raise KeycldError(
-                f"setting horizon is a time longer than {_STAY} s, which serve to hold the goal, not {self.horizon}."
+                f"setting horizon is longer than {_STAY} s, in which it holds the goal, and finite, not {self.horizon}."
             )
 
     def controller(self, problem: Problem) -> PlanAndTrack:
