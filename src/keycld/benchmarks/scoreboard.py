@@ -1,5 +1,6 @@
 """Tables 1, 5 and 6 of "Which priors matter?": published scores, ours, the winner of each, average ranks."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -81,7 +82,7 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
     for measure in MEASURES:
         values: dict[tuple[str, str], list[float]] = {}
         trivial: dict[str, float] = {}
-        remarks: dict[tuple[str, str], list[str]] = {}
+        remarks: defaultdict[tuple[str, str], list[str]] = defaultdict(list)
         served = False
         for experiment, status in states:
             key = experiment.data.label, experiment.model
@@ -91,18 +92,18 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
             served = True
             if status.word != "done" or status.result is None:
                 kind = status.detail.partition(" ")[0] if status.word == "failed" else ""
-                remarks.setdefault(key, []).append(f"{status.word} {kind}".strip())
+                remarks[key].append(f"{status.word} {kind}".strip())
                 continue
             scores = status.result["scores"][protocol.name]
             value = measure.value(scores)
             if value is None:
-                remarks.setdefault(key, []).append("not finite")
+                remarks[key].append("not finite")
                 continue
             values.setdefault(key, []).append(value)
             if protocol.given > 5:
-                remarks.setdefault(key, []).append(f"{protocol.given} frames given")
+                remarks[key].append(f"{protocol.given} frames given")
             if status.result.get("share", 1.0) < 1.0:
-                remarks.setdefault(key, []).append(f"{status.result['share']:.0%} of the steps")
+                remarks[key].append(f"{status.result['share']:.0%} of the steps")
             still = measure.value(scores["baselines"]["mean image"])
             if still is not None:
                 trivial[key[0]] = still
