@@ -262,9 +262,16 @@ def test_wrong_options(tmp_path, capsys, more, sentence):
     assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
 
 
-def test_units_of_a_length():
+def test_units_of_a_length(tmp_path):
     assert scale_of("ball – pivot = 31cm", None, "pendulum") == (("pivot", "ball"), pytest.approx(0.31))
     assert scale_of(None, 9.81, "pendulum") == (None, 9.81) and scale_of(None, None, "pendulum") is None
+    toml = tmp_path / "two.toml"
+    toml.write_text(
+        'keypoints = ["left-ball", "right-ball"]\n\n[[constraint]]\nkind = "fixed_distance"\n'
+        'between = ["left-ball", "right-ball"]\n'
+    )
+    between = ("left-ball", "right-ball")
+    assert scale_of("right-ball - left-ball = 2 m", None, str(toml)) == (between, 2.0)
     scale = scale_of("pivot-ball = 310 mm", 9.81, "pendulum")
     assert measured_by_hand(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}
 

@@ -278,6 +278,9 @@ def test_the_command_writes_what_it_promises(model, tmp_path, monkeypatch, capsy
     assert "takes upright or a picture" in capsys.readouterr().err
     assert main(["control", str(tmp_path), "--actuators", "elbow"]) == 2
     assert "no input 'elbow': choose from torque" in capsys.readouterr().err
+    monkeypatch.setattr(training, "load_run", lambda folder: (model, Config(system="data")))
+    assert main(["control", str(tmp_path)]) == 2
+    assert "has learned the system 'data', which keycld does not simulate" in capsys.readouterr().err
 
 
 def test_the_report_has_a_section_on_control(result, tmp_path):

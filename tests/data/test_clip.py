@@ -185,6 +185,19 @@ def test_wrong_videos_are_refused_and_leave_nothing(tmp_path, frames, message):
     assert [each.name for each in tmp_path.iterdir()] == ["swing.mp4"]
 
 
+def test_a_crop_without_motion_and_a_folder_in_use_are_refused(tmp_path, monkeypatch):
+    path = video(tmp_path, swing())
+    with pytest.raises(KeycldError, match="nothing moves in most frames within --crop 0 0 8 8 of .*swing.mp4: keep"):
+        import_clip(path, tmp_path / "a", constraints="pendulum", crop=(0, 0, 8, 8))
+    with pytest.raises(KeycldError, match="'cartpole' is the name of a system"):
+        import_clip(path, tmp_path / "cartpole", constraints="pendulum")
+    import_clip(path, tmp_path / "b", constraints="pendulum", size=24)
+    # Before it takes a minute to read a long video.
+    monkeypatch.setattr("keycld.data.imports.clip._looked_at", None)
+    with pytest.raises(KeycldError, match="b already holds data"):
+        import_clip(path, tmp_path / "b", constraints="pendulum", size=24)
+
+
 def test_no_videos(tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     with pytest.raises(KeycldError, match="cannot be read as a video"):

@@ -65,6 +65,12 @@ def test_several_videos(video, tmp_path):
     assert sum(len(read(out / f"{name}.h5")) for name in ("train", "validation", "test")) == 8
 
 
+def test_videos_of_different_sizes_are_not_of_one_camera(video, tmp_path):
+    save_movie(tmp_path / "wide.mp4", np.zeros((40, 64, 128, 3), np.uint8), fps=25.0, scale=1)
+    with pytest.raises(KeycldError, match="wide.mp4 has 128 x 64 pixels, .* 96 x 64: give videos from the same camera"):
+        import_video([video, tmp_path / "wide.mp4"], tmp_path / "a", size=16, frames=20)
+
+
 def test_constraints_come_along(video, tmp_path):
     toml = tmp_path / "mine.toml"
     toml.write_text('keypoints = ["bob"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "bob"\n')

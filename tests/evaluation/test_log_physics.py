@@ -82,3 +82,24 @@ def test_columns_that_do_not_fit_the_mechanism(rig):
         identify_log(log, load_constraints("double-pendulum"), "double-pendulum")
     with pytest.raises(KeycldError, match="--input"):
         identify_log(log._replace(u=log.u[:, :0]), load_constraints("pendulum"), "pendulum")
+
+
+def test_an_encoder_may_begin_again_after_each_turn(rig):
+    log = read_log(rig, ("position",), ("torque",))
+    assert log.q.max() > 2 * np.pi
+    plain, jumping = (
+        identify_log(log._replace(q=q), load_constraints("pendulum"), "pendulum") for q in (log.q, log.q % (2 * np.pi))
+    )
+    np.testing.assert_allclose(jumping.measured, plain.measured, atol=1e-12)
+    assert jumping.physics["constants"]["inertia"]["value"] == pytest.approx(
+        plain.physics["constants"]["inertia"]["value"], rel=1e-6
+    )
+
+
+def test_torques_that_have_nothing_to_do_with_the_motion_tell_nothing(rig):
+    """No inertia, and no prediction by a law that diverges."""
+    log = read_log(rig, ("position",), ("torque",))
+    noise = np.random.default_rng(1).normal(0, 0.01, log.u.shape)
+    physics = identify_log(log._replace(u=noise), load_constraints("pendulum"), "pendulum").physics
+    assert physics["constants"]["inertia"]["value"] is None and not physics["constants"]["inertia"]["identifiable"]
+    assert physics["prediction"] == {} and "diverges" in physics["note"] and physics["note"] in physics_table(physics)

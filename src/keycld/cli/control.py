@@ -84,7 +84,7 @@ def control(
     from keycld.control import ControlConfig, Disturbance, law_named, swing_up
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
-    from keycld.systems import get
+    from keycld.systems import get, names
     from keycld.training import Counted, load_run, run_folder
 
     settings = ControlConfig(
@@ -102,6 +102,11 @@ def control(
     model, config = load_run(folder)
     if math.isnan(config.epsilon):
         raise KeycldError(f"{folder} is of an earlier version, which did not record ε of its data: train it again.")
+    if config.system not in names():
+        raise KeycldError(
+            f"{folder} has learned the system '{config.system}', which keycld does not simulate: to control your own, "
+            "use keycld.control.Agent (docs/control.md)."
+        )
     result = swing_up(
         model,
         get(config.system),

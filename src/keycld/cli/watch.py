@@ -35,7 +35,7 @@ _REQUEST = "watch.json"
 """In a run folder: which clips and options its data were made of."""
 _DEFAULTS = {"plane_ratio": 1.0}
 """Options that runs of earlier versions do not name."""
-_LENGTH = re.compile(r"\s*(\w+)\s*[-–]\s*(\w+)\s*=\s*(\d+\.?\d*|\.\d+)\s*(m|cm|mm)\s*")
+_LENGTH = re.compile(r"\s*(.+?)\s*=\s*(\d+\.?\d*|\.\d+)\s*(m|cm|mm)\s*")
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 
 
@@ -163,15 +163,18 @@ def scale_of(length: str | None, gravity: float | None, mechanism: str) -> "Scal
     if length is None:
         return None if gravity is None else Scale(None, gravity)
     found = _LENGTH.fullmatch(length)
-    metres = float(found[3]) * _UNITS[found[4]] if found else 0.0
+    metres = float(found[2]) * _UNITS[found[3]] if found else 0.0
     if found is None or not 0 < metres < float("inf"):
         raise KeycldError(f'--length is two ends and a length, such as "pivot-ball = 0.31 m", not "{length}".')
     constraints = load_constraints(mechanism)
-    known = {frozenset(ends): ends for ends in lengths_of(constraints, jnp.ones(constraints.count))}
-    if frozenset(found.group(1, 2)) not in known:
-        names = ", ".join("-".join(ends) for ends in known.values()) or "none"
-        raise KeycldError(f"no length {found[1]}-{found[2]} is constant in this mechanism: choose from {names}.")
-    return Scale(known[frozenset(found.group(1, 2))], metres)
+    known = {"-".join(ends): ends for ends in lengths_of(constraints, jnp.ones(constraints.count))}
+    between = re.sub(r"\s*[-–]\s*", "-", found[1])
+    ends = next((ends for name, ends in known.items() if between in (name, "-".join(reversed(ends)))), None)
+    if ends is None:
+        raise KeycldError(
+            f"no length {between} is constant in this mechanism: choose from {', '.join(known) or 'none'}."
+        )
+    return Scale(ends, metres)
 
 
 def measured_by_hand(scale: "Scale | None", gravity: float | None) -> dict[str, float]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from keycld._errors import KeycldError
 from keycld.data.imports.log import Log
-from keycld.evaluation.physics_file import Constant, Physics
+from keycld.evaluation.physics_file import Constant, Physics, constant
 from keycld.mechanics import Constraints, JointLaw, fit_joint_law, joints_of, predict_joints
 
 
@@ -22,7 +22,8 @@ class IdentifiedLog(NamedTuple):
         physics: what `save_physics` stores.
         time: seconds of the held-out samples `[T]`.
         measured: joint positions there `[T, d]`.
-        predicted: those of the law, from the first samples and the torques.
+        predicted: those of the law, from the first samples and the torques; empty if nothing is held out, or if they
+            diverge.
         sigma: standard errors of the predicted positions.
     """
 
@@ -70,17 +71,23 @@ def identify_log(
         raise KeycldError(f"--lengths are {len(joints)} lengths above 0, one a joint, not {said}.")
     if not np.any(log.u):
         raise KeycldError("all torques of this log are zero: a free swing does not tell inertias, so drive the joints.")
+    # An encoder that begins again after each turn jumps.
+    q = np.where([joint.slide for joint in joints], log.q, np.unwrap(log.q, axis=0))
     torque = np.pad(log.u, ((0, 0), (0, len(joints) - log.u.shape[1])))
-    fitted = round((1 - held) * len(log.q))
-    found = fit_joint_law(joints, long, log.q[:fitted], torque[:fitted], log.dt)
+    fitted = round((1 - held) * len(q))
+    found = fit_joint_law(joints, long, q[:fitted], torque[:fitted], log.dt)
     with jax.enable_x64(True):
         law = JointLaw.of(jnp.asarray(found.theta), joints, long)
         constants = dict(_constants(law, found.covariance, len(found.theta)))
     count = max(4, round(given / log.dt))
-    measured, prediction = log.q[fitted:], {}
+    measured, prediction, note = q[fitted:], {}, ""
     predicted, sigma = np.zeros((2, 0, len(joints)))
     if len(measured) > count:
-        predicted, sigma = predict_joints(found, joints, long, measured[:count], torque[fitted:], log.dt)
+        try:
+            predicted, sigma = predict_joints(found, joints, long, measured[:count], torque[fitted:], log.dt)
+        except KeycldError as error:
+            note = str(error)
+    if len(predicted):
         off = (predicted - measured)[count:]
         prediction = {
             "given_seconds": count * log.dt,
@@ -90,7 +97,9 @@ def identify_log(
             "range": np.ptp(measured, axis=0).tolist(),
         }
     physics = Physics(mechanism=mechanism, fps=1 / log.dt, constants=constants, rejected={}, prediction=prediction)
-    return IdentifiedLog(physics, log.dt * np.arange(fitted, len(log.q)), measured, predicted, sigma)
+    if note:
+        physics["note"] = note
+    return IdentifiedLog(physics, log.dt * np.arange(fitted, len(q)), measured, predicted, sigma)
 
 
 def _constants(law: JointLaw, covariance: np.ndarray, size: int) -> Iterator[tuple[str, Constant]]:
@@ -112,13 +121,15 @@ def _constants(law: JointLaw, covariance: np.ndarray, size: int) -> Iterator[tup
     slopes = jax.jacfwd(of)(jnp.zeros(size))
     values = of(_theta(law))
     units = {"inertia": "kg m²", "viscous": "N m s"}
+    own = {f"inertia_{i + 1}_{i + 1}" for i in range(d)}
     for name, slope in slopes.items():
         g = np.asarray(slope)
         unit = units.get(name.split("_")[0], "N m")
         short = name.replace("_1_1", "").removesuffix("_1") if d == 1 else name
         sigma = float(np.sqrt(g @ covariance @ g))
         if sigma > 0 or float(values[name]) != 0:
-            yield short, Constant(value=float(values[name]), sigma=sigma, unit=unit, identifiable=True)
+            # All but the inertia of a single joint may be zero.
+            yield short, constant(float(values[name]), sigma, unit, positive=name in own)
 
 
 def _theta(law: JointLaw) -> jax.Array:

@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.evaluation.outcome import Evaluation
-from keycld.evaluation.physics_file import Constant, MeasuredOn, Physics, Rejected
+from keycld.evaluation.physics_file import Constant, MeasuredOn, Physics, Rejected, constant, unknown_constant
 from keycld.mechanics import (
     ConstrainedLagrangian,
     Derived,
@@ -30,8 +30,6 @@ from keycld.models.keycld.law_fit import climb, free_leaves
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import MISSED, Tracks
 
-# A positive constant with a larger relative error is not determined: its linear error bar means nothing.
-_VAGUE = 0.5
 # So many observed poses are compared to find where the mechanism rests.
 _POSES = 200
 # Pixels of noise above which a keypoint may not be fixed to its part.
@@ -211,29 +209,23 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
             value=0.0, sigma=None, unit="1/s", identifiable=True, note="no viscous friction acts; see rejected"
         )
     if pose is None:
-        constants["period_1"] = _unknown("s", "the mechanism has no stable rest pose")
+        constants["period_1"] = unknown_constant("s", "the mechanism has no stable rest pose")
     if found.misfit > MISSED:
         note = f"the fitted motions miss {found.misfit:.0%} of the motion, so they are not those of the mechanism"
-        constants = {name: _unknown(each["unit"], note) for name, each in constants.items()}
-    constants["mass"] = _unknown("kg", _ABSOLUTE)
+        constants = {name: unknown_constant(each["unit"], note) for name, each in constants.items()}
+    constants["mass"] = unknown_constant("kg", _ABSOLUTE)
     return constants
 
 
 def _constant(name: str, number: Derived) -> Constant:
     unit = _unit(name)
     if not number.determined:
-        return _unknown(unit, "the recordings do not determine it: other parameters can change with it")
-    if not name.startswith(_SIGNED) and number.sigma > _VAGUE * abs(number.value):
-        return _unknown(unit, f"its standard error is {number.sigma / abs(number.value):.0%} of it")
-    found = Constant(value=number.value, sigma=number.sigma, unit=unit, identifiable=True)
+        return unknown_constant(unit, "the recordings do not determine it: other parameters can change with it")
+    found = constant(number.value, number.sigma, unit, positive=not name.startswith(_SIGNED))
     note = next((note for prefix, note in _NOTES.items() if name.startswith(prefix)), None)
-    if note is not None:
+    if note is not None and found["identifiable"]:
         found["note"] = note
     return found
-
-
-def _unknown(unit: str, note: str) -> Constant:
-    return Constant(value=None, sigma=None, unit=unit, identifiable=False, note=note)
 
 
 def _unit(name: str) -> str:

@@ -10,6 +10,10 @@ from keycld.evaluation.storage import as_json
 
 PHYSICS = "physics"
 """Name of the result: `evaluation/physics.json`."""
+# A positive constant with a larger relative error is not determined: its linear error bar means nothing.
+_VAGUE = 0.5
+# The relative error of a number that was given, such as a length: rounding.
+_EXACT = 1e-9
 
 
 class Constant(TypedDict):
@@ -28,6 +32,19 @@ class Constant(TypedDict):
     unit: str
     identifiable: bool
     note: NotRequired[str]
+
+
+def constant(value: float, sigma: float, unit: str, *, positive: bool) -> Constant:
+    """Return a measured constant; without a value if it is positive and its error is more than half of it."""
+    if positive and sigma > _VAGUE * abs(value):
+        return unknown_constant(unit, f"its standard error, {sigma:.2g}, is more than half of it")
+    exact = sigma <= _EXACT * abs(value)
+    return Constant(value=value, sigma=None if exact else sigma, unit=unit, identifiable=True)
+
+
+def unknown_constant(unit: str, note: str) -> Constant:
+    """Return a constant without a value, and why it has none."""
+    return Constant(value=None, sigma=None, unit=unit, identifiable=False, note=note)
 
 
 class Rejected(TypedDict):
@@ -90,7 +107,7 @@ class Physics(TypedDict):
         given: what the user has measured, by the name of the constant.
         forces: kinds of forces that act in addition to gravity.
         alternatives: the mechanisms that were compared, the chosen one first, where none was told or none learned.
-        note: why there is no mechanism, or no model of it.
+        note: why there is no mechanism, no model of it, or no prediction.
         changes: what was changed in the pictures of a clip.
     """
 

@@ -17,8 +17,7 @@ def physics_table(physics: Physics) -> str:
             continue
         shown = f"{value:.6g}" if not sigma else f"{_rounded(value, sigma)} ± {sigma:.2g}"
         lines.append(f"{name:{width}}  {shown} {'' if unit == '1' else unit}".rstrip())
-    if note := pieces_note(physics):
-        lines.append(note)
+    lines += [note for note in (pieces_note(physics), physics.get("note")) if note]
     for kind, rejected in physics["rejected"].items():
         lines.append(f"rejected: {kind}, worth {rejected['worth']:.2g} of the cost, needed {rejected['needed']:.2g}")
     if physics["prediction"]:

@@ -195,6 +195,9 @@ def predict_joints(
         q: the first n measured positions, of which a cubic gives position and velocity at the first.
         torque: measured torques, from the first sample on.
         dt: seconds between samples.
+
+    Raises:
+        KeycldError: the motion of the law diverges.
     """
     count, d = q.shape
     powers = np.vander(dt * np.arange(count), 4, increasing=True)
@@ -205,8 +208,11 @@ def predict_joints(
         path, slopes = _differentiated(joints, lengths, arguments, dt)
     by_theta, by_start, by_torque = (np.asarray(slope) for slope in slopes)
     spread = np.sqrt(np.sum(inverse[:2] ** 2, axis=1))[:, None] * fitted.rate_noise[None]
-    variance = np.einsum("tdi,ij,tdj->td", by_theta, fitted.covariance, by_theta)
-    variance += np.sum((by_start * spread) ** 2, axis=(2, 3)) + np.sum((by_torque * fitted.noise) ** 2, axis=(2, 3))
+    with np.errstate(over="ignore", invalid="ignore"):
+        variance = np.einsum("tdi,ij,tdj->td", by_theta, fitted.covariance, by_theta)
+        variance += np.sum((by_start * spread) ** 2, axis=(2, 3)) + np.sum((by_torque * fitted.noise) ** 2, axis=(2, 3))
+    if not np.all(np.isfinite(variance)):
+        raise KeycldError("the predicted motion diverges, so the law is not that of the rig: move all joints more.")
     return JointPrediction(np.asarray(path), np.sqrt(variance))
 
 

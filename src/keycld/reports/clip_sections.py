@@ -72,7 +72,8 @@ def constants(run: Run) -> str:
     notes = "".join(html.paragraph(f"Caution: {html.text(each)}") for each in said if each) + notes
     table = html.table(["constant", "value", "given", "unit"], rows, "scores")
     forces = html.paragraph(f"Forces that act: {html.text(acting(run.physics))}.")
-    return html.section("constants", "Constants", html.paragraph(about(run.physics)) + table + forces + notes)
+    first = html.paragraph(html.text(about(run.physics)))
+    return html.section("constants", "Constants", first + table + forces + notes)
 
 
 def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:

@@ -21,11 +21,13 @@ from keycld.data.imports.plane import Plane, plane_filter
 from keycld.data.imports.video import (
     as_trajectories,
     check_crop,
+    check_folder,
     check_size_and_rate,
     constraints_text,
     decode,
     origin,
     probe,
+    refuse_other_sizes,
     spool_in,
     store,
     unreadable,
@@ -118,13 +120,14 @@ def import_clip(
 
     Raises:
         KeycldError: no such file, not a video, too short, nothing moves or in too few pixels, the camera moves, a cut,
-            a bad crop, plane, size or rate; videos of different sizes or rates.
+            a bad crop, plane, size or rate; videos of different sizes or rates; a folder in use.
     """
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     text = None if constraints is None else constraints_text(constraints)
     side = _SMALLEST if size is None else size
     check_size_and_rate(side, fps)
+    check_folder(out)
     videos = [_looked_at(path, plane, plane_ratio) for path in sources]
     _refuse_unlike(videos)
     first = videos[0]
@@ -142,6 +145,12 @@ def import_clip(
         asked = None if every == 1 else float(first.rate / every)
         clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
         needed = side if constraints is None else _needed_side(clips)
+        if needed is None:
+            where = f"in {sources[0]}" if crop is None else f"within --crop {' '.join(map(str, crop))} of {sources[0]}"
+            raise KeycldError(
+                f"nothing moves in most frames {where}: keep the seconds in which the parts move, or name the square "
+                "around them with --crop."
+            )
         if size is None and side < needed <= _LARGEST:
             side = needed
             clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
@@ -302,14 +311,10 @@ def _pictures(
 
 
 def _refuse_unlike(videos: Sequence[_Video]) -> None:
-    """Refuse videos that no single camera in one place can have recorded."""
+    """Refuse videos of different sizes or rates."""
+    refuse_other_sizes([video.path for video in videos], [(video.width, video.height) for video in videos])
     first = videos[0]
     for video in videos[1:]:
-        if (video.width, video.height) != (first.width, first.height):
-            raise KeycldError(
-                f"{video.path} has {video.width} x {video.height} pixels, {first.path} {first.width} x {first.height}: "
-                "give videos from the same camera and place."
-            )
         if abs(video.rate - first.rate) > Fraction(1, 100):
             raise KeycldError(
                 f"{video.path} has {float(video.rate):g} frames a second, {first.path} {float(first.rate):g}: give "
@@ -391,14 +396,19 @@ def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[Box, lis
     return (left / w, top / h, (right + 1) / w, (bottom + 1) / h), still
 
 
-def _needed_side(clips: Sequence[UInt8[np.ndarray, "_ H W 3"]]) -> int:
-    """Return the side of pictures in which what moves can be followed: larger ones where it is hardly a pixel large."""
+def _needed_side(clips: Sequence[UInt8[np.ndarray, "_ H W 3"]]) -> int | None:
+    """Return the side of pictures in which what moves can be followed: larger ones where it is hardly a pixel large.
+
+    None if most pictures differ nowhere from their median.
+    """
     images = np.concatenate([clip[:: max(1, len(clip) * len(clips) // _LOOKED)] for clip in clips]).astype(np.int16)
     off = np.max(np.abs(images - np.median(images, axis=0).astype(np.int16)[None]), axis=-1)
     off = np.maximum(off - 12, 0).reshape(len(off), -1)
     covered = float(np.median(np.sum(off, axis=1) / np.maximum(np.max(off, axis=1), 1)))
+    if covered == 0:
+        return None
     size = images.shape[1]
-    return size if covered >= _TINY else 8 * math.ceil(size * math.sqrt(2 * _TINY / max(covered, 0.1)) / 8)
+    return size if covered >= _TINY else 8 * math.ceil(size * math.sqrt(2 * _TINY / covered) / 8)
 
 
 def _square_around(

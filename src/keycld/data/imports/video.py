@@ -23,7 +23,7 @@ from keycld.data.format.folder import CONSTRAINTS
 from keycld.data.format.rules import LARGEST_RECORDING
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
-from keycld.data.imports.claim import claim
+from keycld.data.imports.claim import claim, refuse_used
 from keycld.systems import names
 
 SPLITS: tuple[str, ...] = ("train", "validation", "test")
@@ -65,7 +65,8 @@ def import_video(
         The folder.
 
     Raises:
-        KeycldError: no such file, not a video, a bad crop, rate or number, too short videos, a folder in use.
+        KeycldError: no such file, not a video, a bad crop, rate or number, too short videos, videos of different sizes
+            or rates, a folder in use.
 
     Good values: recordings of about one swing; 30 to 60 frames a second; a still camera and background.
     """
@@ -73,16 +74,14 @@ def import_video(
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     _check_numbers(sources, size, fps, frames, skip, validation, test)
     out = Path(out)
-    if out.resolve().name in names():
-        raise KeycldError(
-            f"the folder name '{out.resolve().name}' is the name of a system of keycld: choose another name for {out}."
-        )
+    check_folder(out)
     text = None if constraints is None else constraints_text(constraints)
+    sizes = [probe(source)[:2] for source in sources]
+    refuse_other_sizes(sources, sizes)
+    if crop is not None:
+        check_crop(crop, *sizes[0], sources[0])
     make_folder(out.parent)
     # The pictures wait on the disk without a name, so that a video may be larger than memory and a kill leaves nothing.
-    if crop is not None:
-        for source in sources:
-            check_crop(crop, *probe(source)[:2], source)
     with spool_in(out.parent) as spool:
         spans = [decode(source, spool, size, fps, crop, skip, frames) for source in sources]
         rates = {round(rate, 3) for _, rate in spans}
@@ -146,6 +145,32 @@ def store(
         finish(out, {"seconds": round(time.monotonic() - began, 1)})
         shutil.rmtree(partial)
     return out
+
+
+def check_folder(out: Path) -> None:
+    """Refuse a folder that cannot become the data set of a video.
+
+    Raises:
+        KeycldError: it is called like a system of keycld, or as `refuse_used`.
+    """
+    name = out.resolve().name
+    if name in names():
+        raise KeycldError(f"the folder name '{name}' is the name of a system of keycld: choose another name for {out}.")
+    refuse_used(out)
+
+
+def refuse_other_sizes(paths: Sequence[Path], sizes: Sequence[tuple[int, int]]) -> None:
+    """Refuse videos that no single camera in one place can have recorded; sizes are (width, height) of each.
+
+    Raises:
+        KeycldError: names the first that differs.
+    """
+    for path, (width, height) in zip(paths, sizes, strict=True):
+        if (width, height) != sizes[0]:
+            raise KeycldError(
+                f"{path} has {width} x {height} pixels, {paths[0]} {sizes[0][0]} x {sizes[0][1]}: give videos from the "
+                "same camera and place."
+            )
 
 
 def check_size_and_rate(size: int, fps: float | None) -> None:
