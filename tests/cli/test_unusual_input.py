@@ -60,7 +60,7 @@ def test_an_import_replaces_no_file_of_others(clip, tmp_path, name, capsys):
     (tmp_path / "mine" / name).write_text("my notes")
     words = ["data", "import", clip, "--out", tmp_path / "mine", "--frames", "10", "--size", "16"]
     assert f"holds a {name} that data would replace" in refused(capsys, *words, "--mechanism", "pendulum")
-    assert {path.name for path in (tmp_path / "mine").iterdir()} == {name, ".lock"}
+    assert {path.name for path in (tmp_path / "mine").iterdir()} == {name}
     assert (tmp_path / "mine" / name).read_text() == "my notes"
 
 

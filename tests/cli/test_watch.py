@@ -161,7 +161,10 @@ def test_prediction_of_a_video_from_any_moment(place, capsys):
         (lambda: swing(2), "has 2 frames, but 60 are the least"),
         (lambda: np.repeat(swing(1), 80, axis=0), "nothing moves in"),
         (lambda: np.stack([np.roll(_texture(), 2 * k, axis=1) for k in range(70)]), "the whole picture moves in"),
-        (lambda: np.concatenate([swing(40), 255 - swing(40)]), "has a cut at 50 % of its length"),
+        (
+            lambda: np.concatenate([swing(40), 255 - swing(40)]),
+            "has a cut at 1.60 s: name the part",
+        ),
         (lambda: np.zeros((2, 2160, 3840, 3), np.uint8), "has 2 frames, but 60 are the least"),
         (None, "cannot be read as a video"),
         (lambda: tiny(), "too few to be followed: add --size 40"),

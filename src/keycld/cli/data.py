@@ -135,6 +135,8 @@ def import_(
     size: int = 64,
     fps: float | None = None,
     crop: Annotated[tuple[int, int, int, int] | None, tyro.conf.arg(metavar="LEFT TOP WIDTH HEIGHT")] = None,
+    skip: Annotated[float | None, tyro.conf.arg(name="from", metavar="SECONDS")] = None,
+    until: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     frames: int = 50,
     split: Literal["recordings", "time"] = "recordings",
 ) -> None:
@@ -154,11 +156,14 @@ def import_(
             the rate at which the camera recorded them.
         crop: Part of the picture to keep, in pixels of the video; by default the largest central square, with --split
             time what moves.
+        skip: Second of each video at which to begin, as a player shows it; by default the first, with --split time that
+            of the longest stretch in which nothing moves but the mechanism.
+        until: Second at which to stop; by default the end, or that of this stretch.
         frames: Frames of a recording; not used with --split time.
         split: recordings gives the first recordings of --frames frames each to training and the last ones to the test;
             time splits each video in time, 60 % for training and the last third for the test.
     """
-    from keycld.data import import_clip, import_suite, import_video
+    from keycld.data import changes_of, import_clip, import_suite, import_video, open_data
 
     if len(videos) == 1 and (videos[0] / "features.txt").exists():
         print(f"imported: {import_suite(videos[0], out)}")
@@ -166,9 +171,23 @@ def import_(
     if split == "time":
         if constraints is None:
             raise KeycldError("--split time needs the mechanism: add --mechanism pendulum, or a TOML file.")
-        clip = import_clip(list(videos), out, size=size, fps=fps, crop=crop, constraints=constraints)
+        clip = import_clip(
+            list(videos), out, size=size, fps=fps, crop=crop, skip=skip, until=until, constraints=constraints
+        )
         print(f"imported: {clip.folder}, {clip.fps:g} frames/s, crop {' '.join(map(str, clip.crop))}")
+        for line in changes_of(open_data(clip.folder).attributes):
+            print(line)
         print(f"next: keycld train {clip.folder} --preset clip")
         return
-    folder = import_video(list(videos), out, size=size, fps=fps, crop=crop, frames=frames, constraints=constraints)
+    folder = import_video(
+        list(videos),
+        out,
+        size=size,
+        fps=fps,
+        crop=crop,
+        skip=skip or 0.0,
+        until=until,
+        frames=frames,
+        constraints=constraints,
+    )
     print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")

@@ -51,6 +51,8 @@ def watch(
         tyro.conf.arg(metavar="X1 Y1 X2 Y2 X3 Y3 X4 Y4"),
     ] = None,
     plane_ratio: float = 1.0,
+    skip: Annotated[float | None, tyro.conf.arg(name="from", metavar="SECONDS")] = None,
+    until: Annotated[float | None, tyro.conf.arg(metavar="SECONDS")] = None,
     size: int | None = None,
     length: str | None = None,
     gravity: float | None = None,
@@ -77,6 +79,9 @@ def watch(
         plane: Where the camera looks at the plane of the motion from the side: pixels of the corners of a rectangle in
             that plane, top left, top right, bottom right, bottom left. Its view from the front is learned.
         plane_ratio: Width of that rectangle divided by its height.
+        skip: Second of each video at which to begin, as a player shows it. By default the longest stretch is used in
+            which nothing moves but the mechanism: no hand, no passer-by.
+        until: Second at which to stop; by default the end of that stretch.
         size: Height and width of the pictures that the model sees, a multiple of 8; by default 64, or up to 128 where
             parts are small.
         length: A known length, such as "pivot-ball = 0.31 m", for constants in metres.
@@ -115,7 +120,7 @@ def watch(
     settings = config_for("keycld", "clip", **dict(parse_setting(text) for text in set))
     run = out or Path("runs") / f"{clips[0].stem}-watch-{seed}"
     with contextlib.redirect_stdout(sys.stderr if json else sys.stdout):
-        options = {"fps": fps, "crop": crop, "plane": plane, "plane_ratio": plane_ratio}
+        options = {"fps": fps, "crop": crop, "plane": plane, "plane_ratio": plane_ratio, "skip": skip, "until": until}
         with _claimed(run, clips, mechanism, size, options):
             chosen, compared = compare(clips[0], run, options) if mechanism == AUTO else (mechanism, [])
             if chosen is not None and mechanism == AUTO:
@@ -225,7 +230,8 @@ def _claimed(
         for name, value in request.items():
             # Without a size it is that of the data.
             if before.get(name, _DEFAULTS.get(name)) != value and not (name == "size" and value is None):
-                raise KeycldError(f"{run} is of other {name}: choose another --out, or delete that folder.")
+                what = "seconds" if name in ("skip", "until") else name
+                raise KeycldError(f"{run} is of other {what}: choose another --out, or delete that folder.")
     try:
         write_text(run / _REQUEST, dumps(request, indent=1))
         yield

@@ -108,7 +108,7 @@ class Physics(TypedDict):
         forces: kinds of forces that act in addition to gravity.
         alternatives: the mechanisms that were compared, the chosen one first, where none was told or none learned.
         note: why there is no mechanism, no model of it, or no prediction.
-        changes: what was changed in the pictures of a clip.
+        changes: which seconds of a clip are used where not all are, and what was changed in its pictures.
     """
 
     mechanism: str | None

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Bool, UInt8
 
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
@@ -18,16 +18,19 @@ from keycld.data.format.writing import write
 from keycld.data.imports.exposure import EVENED, Usual, made_alike
 from keycld.data.imports.overlays import Box, overlays, painted_over, pixels_of
 from keycld.data.imports.plane import Plane, plane_filter
+from keycld.data.imports.stretch import undisturbed
 from keycld.data.imports.video import (
     as_trajectories,
     check_crop,
     check_folder,
     check_size_and_rate,
+    check_span,
     constraints_text,
     decode,
     origin,
     probe,
     refuse_other_sizes,
+    span_options,
     spool_in,
     store,
     unreadable,
@@ -76,12 +79,17 @@ class ImportedClip(NamedTuple):
 
 
 class _Video(NamedTuple):
-    """A video that was looked at: its size, frames a second, seconds, the part that moves, and what only changes."""
+    """A video that was looked at.
+
+    Its size, frames a second, from which second to which it is used, and how many these are; the part that moves, and
+    what only changes.
+    """
 
     path: Path
     width: int
     height: int
     rate: Fraction
+    span: tuple[float, float | None]
     seconds: float
     part: Box
     overlays: list[Box]
@@ -97,14 +105,17 @@ def import_clip(
     crop: tuple[int, int, int, int] | None = None,
     plane: Plane | None = None,
     plane_ratio: float = 1.0,
+    skip: float | None = None,
+    until: float | None = None,
     longest: int = 400,
 ) -> ImportedClip:
     """Make a data set of one video of one motion, of 60 frames to some minutes, or of several from the same place.
 
     The first three fifths of the frames are for training, the last third for the test, those between for validation.
     Each part is one recording, or several of equal length after one another. Of several videos all recordings of a part
-    have the length of the shortest. All frames are kept up to 1200, of longer videos every second, third, … one. Places
-    that change without moving are painted over, and an exposure that varies is evened out (`made_alike`).
+    have the length of the shortest. All frames are kept up to 1200, of longer videos every second, third, … one. Only
+    the longest stretch that shows the mechanism alone and in motion is used (`undisturbed`). Places that change without
+    moving are painted over, and an exposure that varies is evened out (`made_alike`).
 
     Args:
         paths: videos of one mechanism, any format that ffmpeg reads.
@@ -116,6 +127,9 @@ def import_clip(
         plane: corners of a rectangle in the plane of the motion, which is then mapped to its view from the front. A
             crop is one of the mapped video.
         plane_ratio: width of that rectangle divided by its height.
+        skip: seconds to leave out at the beginning of each video; with `until`, the second at which to stop, it takes
+            the place of the stretch that is found.
+        until: by default the end.
         longest: the most frames of a recording.
 
     Raises:
@@ -128,7 +142,9 @@ def import_clip(
     side = _SMALLEST if size is None else size
     check_size_and_rate(side, fps)
     check_folder(out)
-    videos = [_looked_at(path, plane, plane_ratio) for path in sources]
+    check_span(skip or 0.0, until)
+    named = None if skip is None and until is None else (skip or 0.0, until)
+    videos = [_looked_at(path, plane, plane_ratio, named) for path in sources]
     _refuse_unlike(videos)
     first = videos[0]
     corners = np.array([video.part for video in videos])
@@ -143,17 +159,17 @@ def import_clip(
     make_folder(out.parent)
     with spool_in(out.parent) as spool:
         asked = None if every == 1 else float(first.rate / every)
-        clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
+        clips, kept, exposure = _pictures(videos, spool, side, asked, chosen, mapped)
         needed = side if constraints is None else _needed_side(clips)
         if needed is None:
             where = f"in {sources[0]}" if crop is None else f"within --crop {' '.join(map(str, crop))} of {sources[0]}"
             raise KeycldError(
-                f"nothing moves in most frames {where}: keep the seconds in which the parts move, or name the square "
-                "around them with --crop."
+                f"nothing moves in most frames {where}: name the seconds in which the parts move with --from and "
+                "--until, or the square around them with --crop."
             )
         if size is None and side < needed <= _LARGEST:
             side = needed
-            clips, kept, exposure = _pictures(sources, spool, side, asked, chosen, mapped)
+            clips, kept, exposure = _pictures(videos, spool, side, asked, chosen, mapped)
         elif side < needed:
             raise KeycldError(
                 f"what moves in {sources[0]} covers less than {_TINY:g} pixels of pictures of {side} x {side}, too few "
@@ -174,6 +190,9 @@ def import_clip(
             attributes[f"{name}_of_clips"] = [len(clip) // parts[name].shape[1] for clip in split[name]]
         attributes |= {"video_size": (first.width, first.height), "mapped": mapped, EVENED: exposure > 0}
         attributes |= {"painted": np.array(painted, int).reshape(-1, 4), "exposure": exposure}
+        if named is None:
+            parts_used = [(v.span[0], v.span[0] + v.seconds) for v in videos if v.span != (0.0, None)]
+            attributes["stretches"] = np.array(parts_used).reshape(-1, 2)
         store(out, parts, attributes, text, began)
     frames = [sum(len(clip) for clip in clips) for clips in split.values()]
     return ImportedClip(out, chosen, side, rate, (frames[0], frames[1], frames[2]), tuple(painted), exposure)
@@ -185,8 +204,12 @@ def is_clip(attributes: Mapping[str, Any]) -> bool:
 
 
 def changes_of(attributes: Mapping[str, Any]) -> list[str]:
-    """Say what was changed in the pictures of a clip, from the attributes of its data set."""
+    """Say what was left out of a clip and changed in its pictures, from the attributes of its data set."""
     said = [
+        f"only seconds {begin:.1f} to {end:.1f} are used, in which it shows the mechanism alone and in motion"
+        for begin, end in attributes.get("stretches", ())
+    ]
+    said += [
         f"what changes without moving, such as a clock, is painted over: {width} × {height} pixels at {left}, {top}"
         for left, top, width, height in attributes.get("painted", ())
     ]
@@ -239,7 +262,7 @@ def clip_file(
     with spool_in(out.parent) as spool:
         asked = None if abs(kept - own) < Fraction(1, 100) else float(kept)
         total, _ = decode(
-            video, spool, size, asked, (left, top, crop_width, crop_height), 0.0, 1, str(like.get("mapped", ""))
+            video, spool, size, asked, (left, top, crop_width, crop_height), (0.0, None), 1, str(like.get("mapped", ""))
         )
         images = np.memmap(spool, np.uint8, "r", shape=(total, size, size, 3))
         even = images if usual is None else usual.evened(images)
@@ -273,24 +296,42 @@ def kept_rate(video: Path, like: Mapping[str, Any]) -> tuple[Fraction, Fraction,
     return kept, rate, seconds
 
 
-def _looked_at(path: Path, plane: Plane | None, plane_ratio: float) -> _Video:
-    """Read what a video shows, and refuse one that shows no motion of a mechanism.
+def _looked_at(path: Path, plane: Plane | None, plane_ratio: float, named: tuple[float, float | None] | None) -> _Video:
+    """Read what a part of a video shows, and refuse one that shows no motion of a mechanism.
+
+    The part is from one second to another, or None: the longest stretch that shows the mechanism alone and in motion.
 
     Raises:
         KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut; a bad plane.
     """
-    width, height, rate, seconds = probe(path)
+    width, height, rate, whole = probe(path)
+    skip, until = named or (0.0, None)
+    seconds = max(0.0, min(whole, until or whole) - skip)
     mapped = "" if plane is None else f"{plane_filter(plane, plane_ratio, width, height)},"
-    grey = _grey(path, width, height, rate, seconds, mapped)
+    every = max(1, math.floor(seconds * rate / _LOOKED))
+    grey, dt = _grey(path, width, height, rate / every, (skip, until), mapped), float(every / rate)
     if len(grey) < _FEWEST:
-        raise KeycldError(f"{path} has {len(grey)} frames, but {_FEWEST} are the least: record a longer video.")
-    _refuse_cuts(grey, path)
+        part = "" if named is None else " in this part"
+        raise KeycldError(f"{path} has {len(grey)} frames{part}, but {_FEWEST} are the least: record a longer video.")
+    _refuse_cuts(grey, path, skip, dt)
     made_alike([grey[..., None]])
-    return _Video(path, width, height, rate, seconds, *_moving_part(grey, path))
+    differs = _differs(grey)
+    part, overlays = _moving_part(differs, path)
+    # Raw streams, whose length is not known, hold no times to skip to.
+    first, last = (0, len(grey)) if named or not whole else undisturbed(grey, differs, dt)
+    if last - first < min(_FEWEST, len(grey)):
+        raise KeycldError(
+            f"the longest stretch of {path} that shows the mechanism alone and in motion has {last - first} frames, "
+            f"but {_FEWEST} are the least: record a longer one, or name the seconds to use with --from and --until."
+        )
+    if (first, last) != (0, len(grey)):
+        skip, until = first * dt, None if last == len(grey) else last * dt
+        part, overlays = _moving_part(_differs(grey[first:last]), path)
+    return _Video(path, width, height, rate, (skip, until), (last - first) * dt, part, overlays)
 
 
 def _pictures(
-    sources: Sequence[Path],
+    videos: Sequence[_Video],
     spool: IO[bytes],
     side: int,
     fps: float | None,
@@ -303,7 +344,7 @@ def _pictures(
     """
     spool.seek(0)
     spool.truncate()
-    found = [decode(path, spool, side, fps, crop, 0.0, 1, mapped) for path in sources]
+    found = [decode(video.path, spool, side, fps, crop, video.span, 1, mapped) for video in videos]
     ends = np.cumsum([count for count, _ in found])
     images = np.memmap(spool, np.uint8, "r+", shape=(int(ends[-1]), side, side, 3))
     clips = np.split(images, ends[:-1])
@@ -337,18 +378,21 @@ def _recordings(clips: Sequence[np.ndarray], longest: int, *, last: bool = False
 
 
 def _grey(
-    path: Path, width: int, height: int, rate: Fraction, seconds: float, mapped: str
+    path: Path,
+    width: int,
+    height: int,
+    rate: Fraction,
+    span: tuple[float, float | None],
+    mapped: str,
 ) -> UInt8[np.ndarray, "T h w"]:
-    """Return at least 60 and about 300 frames of the whole video, grey and small, if it has as many."""
+    """Return frames of a part of a video at this rate, grey and small."""
     scale = min(1.0, _SIDE / min(width, height))
     w, h = max(2, round(width * scale)), max(2, round(height * scale))
-    every = max(1, math.floor(seconds * rate / _LOOKED))
-    filters = f"fps={rate / every},{mapped}scale={w}:{h}:flags=area"
+    filters = f"fps={rate},{mapped}scale={w}:{h}:flags=area"
+    source = [*span_options(*span), *input_options(path)]
     found = []
     try:
-        with ffmpeg(
-            "-v", "error", *input_options(path), "-vf", filters, "-pix_fmt", "gray", "-f", "rawvideo", "-"
-        ) as process:
+        with ffmpeg("-v", "error", *source, "-vf", filters, "-pix_fmt", "gray", "-f", "rawvideo", "-") as process:
             while len(picture := process.read(w * h)) == w * h and len(found) < 4 * _LOOKED:
                 found.append(np.frombuffer(picture, np.uint8).reshape(h, w))
             while process.read(2**20):
@@ -358,25 +402,29 @@ def _grey(
     return np.array(found).reshape(-1, h, w)
 
 
-def _refuse_cuts(grey: UInt8[np.ndarray, "T h w"], path: Path) -> None:
-    """Refuse a video with a cut: one step changes the picture many times more than all others."""
+def _refuse_cuts(grey: UInt8[np.ndarray, "T h w"], path: Path, skip: float, dt: float) -> None:
+    """Refuse a video with a cut: one step changes the picture many times more than all others.
+
+    The first of these frames is at second `skip`, the others every `dt`.
+    """
     change = np.array([np.mean(np.abs(b.astype(float) - a)) for a, b in zip(grey[:-1], grey[1:], strict=True)])
     largest = int(np.argmax(change))
     if change[largest] > max(10.0, 8 * np.percentile(change, 95)):
         raise KeycldError(
-            f"{path} has a cut at {100 * (largest + 1) / len(grey):.0f} % of its length: keep the part before or after "
-            "it."
+            f"{path} has a cut at {skip + (largest + 1) * dt:.2f} s: name the part before it with --until, or the part "
+            "after it with --from."
         )
 
 
-def _moving_part(grey: UInt8[np.ndarray, "T h w"], path: Path) -> tuple[Box, list[Box]]:
-    """Return where something moves, and where something changes without moving.
-
-    A pixel moves if it differs from its median over time by several times the noise in some of the frames.
-    """
+def _differs(grey: UInt8[np.ndarray, "T h w"]) -> Bool[np.ndarray, "T h w"]:
+    """Return which pixels differ from their median over time by several times the noise."""
     off = np.abs(grey.astype(np.int16) - np.median(grey, axis=0).astype(np.int16)[None])
     noise = float(np.median(np.std(np.diff(grey[: min(60, len(grey))].astype(float), axis=0), axis=0))) / math.sqrt(2)
-    differs = off > max(12.0, min(6 * noise, 20.0))
+    return off > max(12.0, min(6 * noise, 20.0))
+
+
+def _moving_part(differs: Bool[np.ndarray, "T h w"], path: Path) -> tuple[Box, list[Box]]:
+    """Return where something moves, and where something changes without moving."""
     if np.median(np.mean(differs, axis=(1, 2))) > 0.4:
         raise KeycldError(
             f"the whole picture moves in {path}: record it with a still camera in front of a still ground."

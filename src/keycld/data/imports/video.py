@@ -37,6 +37,7 @@ def import_video(
     fps: float | None = None,
     crop: tuple[int, int, int, int] | None = None,
     skip: float = 0.0,
+    until: float | None = None,
     frames: int = 50,
     validation: float = 0.1,
     test: float = 0.1,
@@ -56,6 +57,7 @@ def import_video(
         crop: (left, top, width, height) in pixels of the video, a square, because lengths must be the same in both
             directions; by default the largest one in the middle.
         skip: seconds to leave out at the beginning of each video.
+        until: second of each video at which to stop; by default its end.
         frames: frames of a recording.
         validation: part of the recordings for choices; at least one recording.
         test: part of the recordings for the test; at least one recording.
@@ -72,7 +74,8 @@ def import_video(
     """
     began = time.monotonic()
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
-    _check_numbers(sources, size, fps, frames, skip, validation, test)
+    _check_numbers(sources, size, fps, frames, validation, test)
+    check_span(skip, until)
     out = Path(out)
     check_folder(out)
     text = None if constraints is None else constraints_text(constraints)
@@ -83,7 +86,7 @@ def import_video(
     make_folder(out.parent)
     # The pictures wait on the disk without a name, so that a video may be larger than memory and a kill leaves nothing.
     with spool_in(out.parent) as spool:
-        spans = [decode(source, spool, size, fps, crop, skip, frames) for source in sources]
+        spans = [decode(source, spool, size, fps, crop, (skip, until), frames) for source in sources]
         rates = {round(rate, 3) for _, rate in spans}
         if len(rates) > 1:
             raise KeycldError(f"the videos have different frame rates {sorted(rates)}: give one with --fps.")
@@ -185,8 +188,27 @@ def check_size_and_rate(size: int, fps: float | None) -> None:
         raise KeycldError(f"--fps is above 0, not {fps}.")
 
 
+def check_span(skip: float, until: float | None) -> None:
+    """Refuse a part of a video that has no length.
+
+    Raises:
+        KeycldError: names the option.
+    """
+    if not 0 <= skip < float("inf"):
+        raise KeycldError(f"--from is a second of the video, at least 0, not {skip:g}.")
+    if until is not None and not skip < until < float("inf"):
+        raise KeycldError(f"--until is a second of the video after --from ({skip:g}), not {until:g}.")
+
+
+def span_options(skip: float, until: float | None) -> list[str]:
+    """Return the options that make ffmpeg read a part of its next input, from one second to another."""
+    # Raw streams hold no times to skip to: even 0 s would skip all of them.
+    begin = ["-ss", str(skip)] if skip else []
+    return begin if until is None else [*begin, "-t", str(until - skip)]
+
+
 def _check_numbers(
-    sources: Sequence[Path], size: int, fps: float | None, frames: int, skip: float, validation: float, test: float
+    sources: Sequence[Path], size: int, fps: float | None, frames: int, validation: float, test: float
 ) -> None:
     if not sources:
         raise KeycldError("name at least one video.")
@@ -195,8 +217,6 @@ def _check_numbers(
         raise KeycldError(f"--frames is at least 3, not {frames}.")
     if frames * size * size * 3 > LARGEST_RECORDING:
         raise KeycldError(f"recordings of {frames} frames of {size} × {size} pixels are too large: make them smaller.")
-    if not skip >= 0:
-        raise KeycldError(f"skip must be a number of seconds of at least 0, not {skip}.")
     if not (validation >= 0 and test >= 0 and validation + test < 1):
         raise KeycldError(f"validation ({validation}) and test ({test}) are parts that leave some for training.")
 
@@ -247,14 +267,14 @@ def decode(
     size: int,
     fps: float | None,
     crop: tuple[int, int, int, int] | None,
-    skip: float,
+    span: tuple[float, float | None],
     frames: int,
     mapped: str = "",
 ) -> tuple[int, float]:
     """Append the recordings uint8 [N, frames, size, size, 3] of a video to a file; return N and frames a second.
 
-    `mapped` is an ffmpeg filter that comes before the crop, such as `plane_filter`. Without a crop it is the largest
-    square in the middle.
+    `span` is the part to read, from one second to another, or to the end. `mapped` is an ffmpeg filter that comes
+    before the crop, such as `plane_filter`. Without a crop it is the largest square in the middle.
     """
     width, height, own, seconds = probe(path)
     rate = own if fps is None else Fraction(fps).limit_denominator(100_000)
@@ -267,11 +287,20 @@ def decode(
     before = f"{mapped}," if mapped else ""
     filters = f"fps={rate},{before}{crop_filter(crop, width, height)},scale={size}:{size}:flags=area"
     most, frame, count = 10_000 + path.stat().st_size // 8, size * size * 3, 0
-    expected = math.ceil(max(0.0, seconds - skip) * rate)
+    skip, until = span
+    expected = math.ceil(max(0.0, min(seconds, until or seconds) - skip) * rate)
     progress = Counted(path.name[:12])
-    # Raw streams hold no times to skip to: even 0 s would skip all of them.
-    skipped = ("-ss", str(skip)) if skip else ()
-    options = [*skipped, *input_options(path), "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo", "-"]
+    options = [
+        *span_options(skip, until),
+        *input_options(path),
+        "-vf",
+        filters,
+        "-pix_fmt",
+        "rgb24",
+        "-f",
+        "rawvideo",
+        "-",
+    ]
     try:
         with ffmpeg("-v", "error", *options) as process:
             while len(picture := process.read(frame)) == frame:
