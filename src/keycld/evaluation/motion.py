@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from keycld._errors import KeycldError
 from keycld.data import before_test
+from keycld.evaluation.metrics import valid_prediction_time
 from keycld.evaluation.outcome import Evaluation
 from keycld.evaluation.predicting import Progress, batch_size, observe, predict, refuse_too_few
 from keycld.mechanics import AbstractDisplacement, Constraints, Motion, State
@@ -137,11 +138,8 @@ def summary(error: Float[np.ndarray, "N T"]) -> dict[str, float]:
 
 def valid_frames(error: Float[np.ndarray, "N T"], given: int) -> dict[str, float]:
     """Return after how many predicted frames the error first exceeds each of `LIMITS`: the mean over recordings."""
-    after = error[:, given:]
-    return {
-        f"{limit:g}": float(np.mean([int(np.argmax(bad)) if bad.any() else len(bad) for bad in after > limit]))
-        for limit in LIMITS
-    }
+    part = given, error.shape[1]
+    return {f"{limit:g}": float(np.mean(valid_prediction_time(error, limit, part=part))) for limit in LIMITS}
 
 
 def _observed(model: HasKeypoints, image: Any) -> Float[np.ndarray, "N T K 2"]:
