@@ -80,6 +80,17 @@ def test_a_hanging_part_that_touches_the_edge_and_a_flash_are_kept():
     assert found(pictures(rod)) == (0, 240) and found(pictures(ball(x), flash)) == (0, 240)
 
 
+def test_a_camera_that_is_touched_at_the_end_is_no_cut(tmp_path):
+    grey = pictures(ball(swinging(150)))
+    for k, shift in enumerate((9, 21, 30, 45), 146):
+        grey[k] = np.roll(grey[k], (shift // 3, shift), axis=(0, 1))
+    save_movie(tmp_path / "end.mp4", np.repeat(grey[..., None], 3, axis=-1), fps=30.0, scale=1)
+    clip = import_clip(tmp_path / "end.mp4", tmp_path / "a", constraints="spring", size=32)
+    assert sum(clip.frames) == pytest.approx(143, abs=1)
+    with pytest.raises(KeycldError, match="has a cut at 4"):
+        import_clip(tmp_path / "end.mp4", tmp_path / "b", constraints="spring", size=32, skip=0.0)
+
+
 def test_the_part_is_cut_out_and_said(tmp_path):
     grey = pictures(ball(HELD), arm(LEAVING))
     save_movie(tmp_path / "hand.mp4", np.repeat(grey[..., None], 3, axis=-1), fps=30.0, scale=1)

@@ -313,12 +313,15 @@ def _looked_at(path: Path, plane: Plane | None, plane_ratio: float, named: tuple
     if len(grey) < _FEWEST:
         part = "" if named is None else " in this part"
         raise KeycldError(f"{path} has {len(grey)} frames{part}, but {_FEWEST} are the least: record a longer video.")
-    _refuse_cuts(grey, path, skip, dt)
+    # Raw streams, whose length is not known, hold no times to skip to.
+    chosen = named is None and whole > 0
+    # A camera that is touched at the beginning or end changes the whole picture; this is left out below.
+    edge = len(grey) // 10 if chosen else 0
+    _refuse_cuts(grey[edge : len(grey) - edge], path, skip + edge * dt, dt)
     made_alike([grey[..., None]])
     differs = _differs(grey)
     part, overlays = _moving_part(differs, path)
-    # Raw streams, whose length is not known, hold no times to skip to.
-    first, last = (0, len(grey)) if named or not whole else undisturbed(grey, differs, dt)
+    first, last = undisturbed(grey, differs, dt) if chosen else (0, len(grey))
     if last - first < min(_FEWEST, len(grey)):
         raise KeycldError(
             f"the longest stretch of {path} that shows the mechanism alone and in motion has {last - first} frames, "

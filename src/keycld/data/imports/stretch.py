@@ -8,7 +8,7 @@ from jaxtyping import Bool, UInt8
 _EDGE, _SEVERAL, _USUAL = 2, 3, 0.4
 # By which factor a visitor makes more of the picture differ than the mechanism alone does.
 _MORE = 1.4
-# Seconds: of a flash or a glint, which is no visitor; before and after one.
+# Seconds: of a flash in the middle, which is no visitor; before and after one.
 _FLASH, _AROUND = 0.2, 0.1
 # Seconds over which motion is looked for; the share of the usual change below which nothing moves, and for how long.
 _STEP, _STILL, _REST = 0.1, 0.15, 0.4
@@ -18,7 +18,8 @@ def undisturbed(grey: UInt8[np.ndarray, "T h w"], differs: Bool[np.ndarray, "T h
     """Return the first frame of the longest stretch that shows the mechanism alone, in motion, and the one after it.
 
     A hand or a passer-by reaches into the picture from its edge, in less than two fifths of the frames, and makes more
-    of it differ. A mechanism that stands still and then moves was held: no law of its own motion explains that.
+    of it differ; so does a camera that is touched at the end. A mechanism that stands still and then moves was held: no
+    law of its own motion explains that.
 
     Args:
         grey: frames.
@@ -39,7 +40,8 @@ def _alone(differs: Bool[np.ndarray, "T h w"], dt: float) -> Bool[np.ndarray, "T
     found = np.zeros(len(differs), bool)
     for edge in edges:
         there = np.sum(np.any(edge, axis=1), axis=1) >= _SEVERAL
-        there = ndimage.binary_opening(there, np.ones(max(1, round(_FLASH / dt))))
+        long = max(1, round(_FLASH / dt))
+        there = ndimage.binary_opening(np.pad(there, long, "edge"), np.ones(long))[long:-long]
         if 0 < np.mean(there) < _USUAL and np.median(size[there]) > _MORE * np.median(size[np.logical_not(there)]):
             found |= there
     around = np.ones(1 + 2 * round(_AROUND / dt))
