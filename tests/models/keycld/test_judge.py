@@ -1,5 +1,7 @@
 """A law is judged by how far its motions are from keypoints, in units of the keypoints' own errors."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -190,3 +192,23 @@ def test_the_law_of_an_ablation_is_scored_and_not_judged(name, recordings, monke
     stages = {stage.name: stage for stage in config.stages(scene)}
     assert all(stages[name].judge(model, recordings) is None for name in ("dynamics", "prior"))
     assert "have not found" in stages["vision"].judge(model, recordings)
+
+
+def test_a_keypoint_beside_the_part_that_stands_out_does_not_pass(recordings, monkeypatch):
+    """Half-way from the pivot to the disc; on the disc, with another keypoint half-way, it does."""
+    monkeypatch.setattr(judge, "judge_vision", lambda *_, **__: None)
+    background = jnp.median(recordings.image.reshape(-1, SIZE, SIZE, 3) / 255.0, axis=0)
+    y, x = jnp.meshgrid(jnp.linspace(1, -1, SIZE), jnp.linspace(-1, 1, SIZE), indexing="ij")
+
+    def model(*shares):
+        def observe(frame):
+            bright = jnp.sum((frame - background) ** 2, axis=-1) ** 2
+            disc = jnp.array([jnp.sum(bright * x), jnp.sum(bright * y)]) / jnp.sum(bright)
+            return SimpleNamespace(keypoints=jnp.outer(jnp.array(shares), disc))
+
+        standardise = SimpleNamespace(mean=background)
+        return SimpleNamespace(observe=observe, estimator=SimpleNamespace(standardise=standardise))
+
+    assert "no keypoint is on the part that stands out" in judge.judge_clip(model(0.4), recordings, worst=0.2)
+    assert judge.judge_clip(model(1.0), recordings, worst=0.2) is None
+    assert judge.judge_clip(model(0.4, 1.0), recordings, worst=0.2) is None

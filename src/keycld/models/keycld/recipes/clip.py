@@ -63,13 +63,15 @@ class ClipConfig(FastConfig):
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with a last fit; without `joint` if it has no steps."""
+        from keycld.models.keycld.judge import judge_clip
         from keycld.models.keycld.prepare import fit_again, measure_background
 
         vision, *others = super().stages(scene)
         assert vision.alternative is not None
         # All candidates are pulled to what the rendered frames lack: half of them by the nearest keypoint alone.
         narrow = dataclasses.replace(vision.alternative, spread=VisionStage.spread)
-        vision = dataclasses.replace(vision, loss=narrow, prepare=measure_background)
+        judge = functools.partial(judge_clip, worst=self.vision.worst)
+        vision = dataclasses.replace(vision, loss=narrow, prepare=measure_background, judge=judge)
         found = [vision, *(stage for stage in others if stage.name != "joint" or stage.steps)]
         if self.model != "node2":
             again = functools.partial(fit_again, tried=self.tried)
