@@ -59,6 +59,8 @@ class VisionLoss(AbstractLoss):
             parts from any place. s falls by equal factors from `spread` to σ = 0.1 at t = 1/5.
             C helps where parts are small and near each other, and harms elsewhere, so it is for some of the candidates.
             The value of L does not contain it, so that candidates with and without can be compared.
+        missing: weight of the first part of C. 0 for a clip with one keypoint: no other part can be missing, and what
+            is rendered last, such as a thin string, would pull the keypoint off the ball at its end.
         spread: s at t = 0, image-plane units. While it is wide, all keypoints share in a part that is missing. With 0.1
             the nearest one takes all: in an animation of a double pendulum it went to the elbow, while the other one
             stayed at the pivot, near which it had begun, and told by less than a pixel where the tip is. With 0.5 both
@@ -84,6 +86,7 @@ class VisionLoss(AbstractLoss):
     coupling: float = 10.0
     joints: float = 0.85
     coverage: float = 0.0
+    missing: float = 1.0
     spread: float = 0.1
     centre: float = 1.0
     patches: tuple[float, float] = (2.0, 0.0)
@@ -125,7 +128,7 @@ class VisionLoss(AbstractLoss):
         _, found = _found(model, observed.keypoints, rendered, frames)
         free = jnp.all(_slopes(model, x) == 0, axis=(0, 1))
         free = jnp.ones_like(free) if self.free else free
-        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(covered + jnp.mean(held))
+        pull = self.coverage * jnp.maximum(0.0, 1 - 4 * done) * -(self.missing * covered + jnp.mean(held))
         pull = pull - self.centre * (1 - done) * jnp.sum(jnp.where(free, found, 0.0))
         first, last = self.constraint
         growth = (last / self.coupling) ** jnp.clip((done - 0.1) / 0.3, 0.0, 1.0)
