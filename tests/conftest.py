@@ -31,12 +31,13 @@ os.environ |= {
 # Tracing makes so many small objects that looking for garbage after every 700 of them costs a twentieth of the time.
 gc.set_threshold(200_000, 20, 20)
 
-# They come first, or one core would have nothing to do while the other ends with one of them.
+# They come first, or one core would have nothing to do while the other ends with one of them. The very first one makes
+# what the fixture `trained` gives, for which a process that needs it too would wait.
 LONGEST_FILES = (
-    "test_ray.py",
-    "test_zoo.py",
-    "test_every_preset.py",
     "test_resume.py",
+    "test_zoo.py",
+    "test_ray.py",
+    "test_every_preset.py",
     "test_pipeline.py",
     "test_watch.py",
     "test_several_processes.py",
