@@ -18,7 +18,7 @@ from keycld.models import Scene, config_for
 from keycld.models.keycld import identify
 from keycld.models.keycld.prepare import fit_dynamics, measure_velocity_prior
 from keycld.models.keycld.recipes.fast import FastConfig
-from keycld.training import finished, load_run, train
+from keycld.training import finished, load_run, loop, train
 from keycld.training.checkpoints import (
     STATE,
     WEIGHTS,
@@ -117,7 +117,9 @@ def test_a_stage_that_fails_begins_again_with_other_weights_three_times_at_most(
         load_run(tmp_path / "run")
 
 
-def test_a_stage_as_short_as_the_trials_of_its_candidates_is_judged(whole, tmp_path):
+def test_a_stage_as_short_as_the_trials_of_its_candidates_is_judged(whole, tmp_path, monkeypatch):
+    # One program for the five steps of a trial and the one that is left.
+    monkeypatch.setattr(loop, "STEPS_PER_DISPATCH", 1)
     _, data, _ = whole
     with pytest.raises(KeycldError, match="the last time in stage vision: the keypoints have not found"):
         train(data, tmp_path / "run", CONFIG.changed({"vision.worst": 0.01, "vision.trial": 6}), log_every=2)
