@@ -58,7 +58,7 @@ def place(tmp_path_factory, trained):
     return shutil.copytree(trained, tmp_path_factory.mktemp("pipeline"), dirs_exist_ok=True)
 
 
-def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
+def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(here, place):
     """kill -9 as soon as there is a checkpoint in the middle of the last stage; the same command resumes.
 
     The run is resumed at the end of the stage before, as if it had been killed there too.
@@ -79,8 +79,8 @@ def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(place):
         time.sleep(0.005)  # the next checkpoint is a training step and a written file away
     os.kill(process.pid, signal.SIGKILL)
     process.wait()
-    answer = keycld(*arguments, folder=place)
-    assert answer.returncode == 0, answer.stderr
+    code, message = here(*arguments, folder=place)
+    assert code == 0, message
     assert weights(place / "cut") == weights(place / "whole")
 
 
