@@ -393,6 +393,26 @@ def test_coverage_pulls_a_keypoint_to_what_is_missing():
         assert back * force(jnp.array([[[-0.5, 0.0], [x, 0.0]]]), frames)[0, 1, 0] > 0
 
 
+def test_the_only_keypoint_of_a_clip_is_not_pulled_along_a_string_that_is_not_rendered_yet():
+    grid = image_grid(SCENE.height, SCENE.width, 1)
+    along = jnp.stack([jnp.linspace(-0.6, 0.5, 20), jnp.zeros(20)], axis=-1)
+    disc = gaussian_maps(jnp.array([[0.6, 0.0]]), grid, 0.1)[..., 0]
+    string = 0.2 * jnp.max(gaussian_maps(along, grid, 0.03), axis=-1)
+    frames, rendered = (jnp.repeat(image[None, ..., None], 3, axis=3) for image in (disc + string, disc))
+    model = fast(Constraints(("a",), (DistanceToPoint("a"),)), width=8).build(SCENE, jax.random.key(0))
+    model = eqx.tree_at(lambda m: m.estimator.standardise.deviation, model, jnp.std(frames))
+
+    def sums(x):
+        return jnp.stack([jnp.sum(each) for each in losses._found(model, x, rendered, frames)])
+
+    missing, moving = jax.jit(jax.jacobian(sums))(jnp.array([[[0.5, 0.0]]]))[:, 0, 0, 0]
+    assert missing < 0 < moving
+    for names, weight in ((("a",), 0), (("a", "b"), 1)):
+        phi = Constraints(names, (DistanceToPoint("a"),))
+        vision = config_for("keycld", "clip", constraints=phi).stages(SCENE)[0]
+        assert vision.alternative.missing == weight and vision.loss.missing == 1
+
+
 def test_wide_coverage_pulls_keypoints_that_are_not_the_nearest_too():
     """Of two keypoints far from a disc that is not rendered, the farther one gets a pull only while s is wide."""
     grid = image_grid(SCENE.height, SCENE.width, 1)

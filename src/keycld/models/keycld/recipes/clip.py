@@ -68,9 +68,10 @@ class ClipConfig(FastConfig):
 
         vision, *others = super().stages(scene)
         assert vision.alternative is not None
-        # All candidates are pulled to what the rendered frames lack: half of them by the nearest keypoint alone.
+        # Half of the candidates pull the nearest keypoint alone to what the rendered frames lack, the others all of
+        # them; of a single keypoint these hold it on what moves from the first step.
+        narrow = dataclasses.replace(vision.alternative, spread=VisionStage.spread)
         wide = dataclasses.replace(vision.alternative, missing=float(self.keypoints > 1))
-        narrow = dataclasses.replace(wide, spread=VisionStage.spread)
         judge = functools.partial(judge_clip, worst=self.vision.worst)
         vision = dataclasses.replace(vision, loss=narrow, alternative=wide, prepare=measure_background, judge=judge)
         found = [vision, *(stage for stage in others if stage.name != "joint" or stage.steps)]
