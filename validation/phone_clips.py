@@ -4,6 +4,7 @@ Parts are shaded, blurred by their motion and cast a soft shadow; there is noise
 watches them.
 """
 
+import functools
 from collections.abc import Callable
 
 import numpy as np
@@ -52,15 +53,23 @@ class _Link:
 _Parts = list[_Disc | _Link]
 
 
-def phone_pendulum(random: np.random.Generator, camera: Camera) -> Drawn:
-    """A ball on a string, from rest at some forty degrees."""
+def phone_pendulum(random: np.random.Generator, camera: Camera, *, held: float = 0.0) -> Drawn:
+    """A ball on a string, from rest at some forty degrees; a hand may hold it there at first, for so many seconds."""
     square, friction, fine = random.uniform(9, 13), random.uniform(0.05, 0.1), _fine(camera)
-    angle = pendulum(np.array([random.uniform(0.6, 0.9), 0.0]), square, friction, fine)
+    swing = pendulum(np.array([random.uniform(0.6, 0.9), 0.0]), square, friction, fine)
+    still = round(held * fine.fps)
+    angle = np.concatenate([np.full(still, swing[0]), swing])
     pivot = np.array([330.0, 40.0])
 
     def parts(k: int) -> _Parts:
-        ball = pivot + 1.6 * _UNIT * np.array([np.sin(angle[k]), np.cos(angle[k])])
-        return [_Link(pivot, ball, 2, (60, 55, 50)), _Disc(ball, 13, (190, 60, 50))]
+        ball, first = (pivot + 1.6 * _UNIT * np.array([np.sin(a), np.cos(a)]) for a in (angle[k], swing[0]))
+        hanging: _Parts = [_Link(pivot, ball, 2, (60, 55, 50)), _Disc(ball, 13, (190, 60, 50))]
+        away = 900 * max(0.0, (k - still) / fine.fps) ** 2
+        if not held or away > 500:
+            return hanging
+        palm = first + np.array([22 + away, 4 - away / 5])
+        arm = _Link(palm + np.array([15, 5]), palm + np.array([400, 150]), 46, (205, 160, 130))
+        return [*hanging, arm, _Disc(palm, 26, (215, 170, 140))]
 
     return Drawn(_filmed(random, camera, parts), single(square, friction) | {"gravity_direction": -90.0})
 
@@ -145,6 +154,7 @@ def _ground(random: np.random.Generator) -> np.ndarray:
 
 PHONE = {
     "phone_pendulum": (phone_pendulum, "pendulum"),
+    "phone_hand": (functools.partial(phone_pendulum, held=1.0), "pendulum"),
     "phone_spring": (phone_spring, "spring"),
     "phone_double": (phone_double, "double-pendulum"),
 }

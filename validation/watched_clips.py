@@ -57,6 +57,8 @@ CLIPS = (
     Clip("plotted_line", 300, Camera()),
     Clip("plotted_trace", 300, Camera()),
     Clip("phone_pendulum", 300, Camera()),
+    Clip("phone_hand", 300, Camera()),
+    Clip("phone_hand", 5, Camera()),
     Clip("phone_spring", 300, Camera()),
     Clip("phone_double", 300, Camera(480, 60.0)),
 )
