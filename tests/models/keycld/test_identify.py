@@ -268,6 +268,21 @@ def test_singular_constraints_end_the_training_with_a_sentence(monkeypatch):
         prepare.identify_dynamics(model, data)
 
 
+def test_more_frames_may_show_another_friction():
+    """x'' = −16 x − 0.5 x', where a few frames had been explained by dry friction."""
+    phase, size = np.linspace(0, 6, 6)[:, None], np.linspace(0.2, 0.6, 6)[:, None]
+    time = DT * np.arange(FRAMES)
+    x = size * np.exp(-0.25 * time) * np.sin(np.sqrt(16 - 0.25**2) * time + phase)
+    x += 0.002 * np.random.default_rng(0).standard_normal(x.shape)
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    tracks = Tracks(jnp.stack([x, 0 * x], axis=-1), jnp.zeros((6, 0)), jnp.array(DT), jnp.zeros(1))
+    dry = law_fit.fit_from_nothing(model.dynamics, ("springs", "coulomb"), tracks).dynamics
+    tried = Tried(("springs", "viscous", "coulomb"), worth=0.05, takes=True)
+    for anew, friction in ((False, "coulomb"), (True, "viscous")):
+        fitted, _ = identify.refit(dry, tracks, tried=tried, anew=anew)
+        assert set(terms_of(fitted.dynamics.law)) == {"springs", friction}
+
+
 @pytest.mark.parametrize(("preset", "recordings"), [("fast", {}), ("control", {"trajectories": 225})])
 def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatch):
     """Those that only followed errors of the first keypoints are dropped."""

@@ -173,7 +173,9 @@ def _fitted_more(fitted: Fitted, kinds: tuple[str, ...], tracks: Tracks) -> Fitt
     return fit_law(with_law(fitted.dynamics, with_kinds(law, further, key=jax.random.key(0))), tracks, fitted)
 
 
-def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None) -> tuple[Fitted, Tracks]:
+def refit(
+    dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None = None, anew: bool = False
+) -> tuple[Fitted, Tracks]:
     """Fit the parameters of given dynamics to keypoints.
 
     Where some motions were lost or diverged, because the first frames show their velocities too badly for the whole of
@@ -187,6 +189,8 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
         dynamics: near the solution.
         tracks: of all recordings.
         tried: judge the terms of V and R again: drop those that are not worth enough, as in `identify`; None: keep all.
+        anew: identify the forces anew, for keypoints of more frames; they take the place of the given ones unless they
+            explain less.
 
     Returns:
         The fit, and what was fitted: the recordings, or pieces of a few that the given law does not follow.
@@ -202,11 +206,12 @@ def refit(dynamics: MechanicalDynamics, tracks: Tracks, *, tried: Tried | None =
     lost = few or not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors)
     if tracks.own is None and lost:
         fitted = cheapest([fitted, climb(dynamics, tracks)])
-    if tried is not None and LAST_RESORT in terms_of(lagrangian(dynamics)):
+    free_form = LAST_RESORT in terms_of(lagrangian(dynamics))
+    if tried is not None and (anew or free_form):
         known = identify(dynamics, tracks, pixel=0.0, tried=dataclasses.replace(tried, kinds=tried.named))
-        simpler = fit_law(known.dynamics, tracks)
-        if sound(simpler) and not fitted.rms < _LESS * simpler.rms:
-            return simpler, tracks
+        other = fit_law(known.dynamics, tracks)
+        if sound(other) and not fitted.rms < (_LESS if free_form else 1.0) * other.rms:
+            return other, tracks
     if tried is None or not sound(fitted):
         return fitted, tracks
     if tracks.own is not None:

@@ -167,7 +167,7 @@ def identify_dynamics(
 
 
 def fit_dynamics(
-    model: Any, data: Resident, *, trajectories: int = FITTED, tried: Tried | None = None
+    model: Any, data: Resident, *, trajectories: int = FITTED, tried: Tried | None = None, anew: bool = False
 ) -> tuple[Any, Resident]:
     """Fit masses, V, g and R to the keypoints of some recordings, by least squares through the dynamics.
 
@@ -180,6 +180,7 @@ def fit_dynamics(
         data: the training data.
         trajectories: about how many of the recordings are observed.
         tried: drop terms of V and R that the motion does not ask for after all; None: keep all.
+        anew: identify the forces anew; they take the place of the model's unless they explain less (`refit`).
     """
     if not isinstance(model, KeyCLD):
         return model, data
@@ -187,7 +188,7 @@ def fit_dynamics(
     model = _sharing(model, x)
     assert isinstance(model.dynamics, MechanicalDynamics)
     tracks = _tracks(model, x, u, data.dt, tried)
-    fitted, tracks = refit(model.dynamics, tracks, tried=tried)
+    fitted, tracks = refit(model.dynamics, tracks, tried=tried, anew=anew)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
     if tried is not None:
         _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
@@ -198,11 +199,15 @@ def fit_dynamics(
 
 
 def fit_again(model: Any, data: Resident, *, tried: Tried | None = None) -> tuple[Any, Resident]:
-    """Fit as `fit_dynamics` after unknown pivots and directions were located once more, on all keypoints."""
+    """Fit as `fit_dynamics` after unknown pivots and directions were located once more, on all keypoints.
+
+    Forces are identified anew. On five seconds of a swinging ball, dry friction explained a viscous one better by 13 %,
+    and half a second more told them apart.
+    """
     if isinstance(model, KeyCLD):
         x, _ = observed_keypoints(model, data, FITTED)
         model = model.located(x.reshape(-1, x.shape[-1]))
-    return fit_dynamics(model, data, tried=tried)
+    return fit_dynamics(model, data, tried=tried, anew=True)
 
 
 def measure_velocity_prior(model: Any, data: Resident, *, trajectories: int = FITTED) -> tuple[Any, Resident]:

@@ -24,7 +24,7 @@ class ClipConfig(FastConfig):
     2. `dynamics`: no steps; identifies the forces that act, and their strength, from the keypoints of the recording.
     3. `joint`, left out where it has no steps.
     4. `prior`: no steps; fits once more. Then the validation score. There is no velocity prior.
-    5. `final`: no steps; nothing is left to choose, so the constants are fitted to training and validation part.
+    5. `final`: no steps; identifies the forces and fits the constants once more, on training and validation part.
     """
 
     OWN: ClassVar[bool] = False
