@@ -290,19 +290,9 @@ def decode(
     skip, until = span
     expected = math.ceil(max(0.0, min(seconds, until or seconds) - skip) * rate)
     progress = Counted(path.name[:12])
-    options = [
-        *span_options(skip, until),
-        *input_options(path),
-        "-vf",
-        filters,
-        "-pix_fmt",
-        "rgb24",
-        "-f",
-        "rawvideo",
-        "-",
-    ]
+    source = [*span_options(skip, until), *input_options(path)]
     try:
-        with ffmpeg("-v", "error", *options) as process:
+        with ffmpeg("-v", "error", *source, "-vf", filters, "-pix_fmt", "rgb24", "-f", "rawvideo", "-") as process:
             while len(picture := process.read(frame)) == frame:
                 spool.write(picture)
                 count += 1
