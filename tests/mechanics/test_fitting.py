@@ -56,6 +56,15 @@ def test_gravity_is_found_from_noisy_observations_of_whole_swings(pendulums, gra
     assert float(fitted.rms) == pytest.approx(0.01, rel=0.1)
 
 
+def test_exact_observations_are_followed_to_rounding(pendulums):
+    """The cost of an error of 1e-6 is not lost in that of the others."""
+    paths, _ = pendulums
+    guess = swinging(9.0)
+    free = free_leaves(guess, lambda name: name.endswith("potential.weight"))
+    fitted = jax.jit(lambda x: fit_motions(guess, free, x, jnp.zeros((12, 0)), DT))(paths)
+    assert 0 < float(fitted.cost) and float(fitted.rms) < 5e-7
+
+
 def test_with_nothing_free_only_initial_states_are_fitted(pendulums):
     paths, seen = pendulums
     truth = swinging(9.81)

@@ -94,7 +94,9 @@ class MotionCost:
 
     def __call__(self, error: Float[Array, "T dim"]) -> Float[Array, ""]:
         """Return the cost of these differences; infinity if one is not finite."""
-        total = jnp.sum(self.scale**2 * (jnp.sqrt(1 + (self.counted(error) / self.scale) ** 2) - 1))
+        # s² (√(1 + (e/s)²) − 1), in a form that small errors do not cancel in.
+        squares = self.counted(error) ** 2
+        total = jnp.sum(squares / (1 + jnp.sqrt(1 + squares / self.scale**2)))
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
     def quadratic(
