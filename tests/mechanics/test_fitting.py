@@ -62,7 +62,7 @@ def test_exact_observations_are_followed_to_rounding(pendulums):
     guess = swinging(9.0)
     free = free_leaves(guess, lambda name: name.endswith("potential.weight"))
     fitted = jax.jit(lambda x: fit_motions(guess, free, x, jnp.zeros((12, 0)), DT))(paths)
-    assert 0 < float(fitted.cost) and float(fitted.rms) < 5e-7
+    assert float(fitted.cost) > 0 and float(fitted.rms) < 5e-7
 
 
 def test_with_nothing_free_only_initial_states_are_fitted(pendulums):

@@ -113,13 +113,17 @@ def measure_physics(
     _, followed = explain(dynamics, recordings)
     worth = {} if tried is None else evidence(dynamics, followed, pixel=pixel, tried=tried)
     found = _estimated(dynamics, followed)
-    acting, needed = terms_of(law), 0.0 if tried is None else tried.worth
+    acting = terms_of(law)
     pieces, frames = found.paths.shape[:2]
     physics = Physics(
         mechanism=mechanism,
         fps=1 / float(dt),
         constants=constants_of(found, scale),
-        rejected={kind: Rejected(worth=worth[kind], needed=needed) for kind in worth if kind not in acting},
+        rejected={
+            kind: Rejected(worth=share, needed=tried.needed(kind))
+            for kind, share in worth.items()
+            if tried is not None and kind not in acting
+        },
         prediction={},
         measured_on=MeasuredOn(pieces=pieces, frames=frames, whole=pieces == len(seen)),
         forces=sorted(acting),

@@ -106,6 +106,24 @@ def test_forces_that_explain_no_more_give_way_to_a_spring_and_viscous_friction(m
     assert set(terms_of(identify.identify(model.dynamics, tracks, pixel=0.03, tried=tried).dynamics.law)) == found
 
 
+@pytest.mark.parametrize(
+    ("takes", "found"), [(True, {"springs", "viscous"}), (False, {"springs", "anchors", "viscous"})]
+)
+def test_a_fixed_point_that_pulls_must_explain_half_of_the_cost_in_a_clip(monkeypatch, takes, found):
+    """It explains a little of any error. Here the judgement has left one next to the spring that acts."""
+    phase, size = np.linspace(0, 6, 3)[:, None], np.linspace(0.4, 0.6, 3)[:, None]
+    x = size * np.sin(4 * DT * np.arange(FRAMES) + phase)
+    x += 0.002 * np.random.default_rng(0).standard_normal(x.shape)
+    _, model = model_of(Constraints(("cart",), (OnLine("cart"),)))
+    tracks = Tracks(jnp.stack([x, 0 * x], axis=-1), jnp.zeros((3, 0)), jnp.array(DT), jnp.zeros(1))
+    monkeypatch.setattr(identify, "select_terms", lambda fitted, *_: (fitted.dynamics, {}))
+    tried = Tried(("springs", "anchors", "viscous"), worth=0.0, takes=takes)
+    found = terms_of(identify.identify(model.dynamics, tracks, pixel=0.03, tried=tried).dynamics.law)
+    assert ("anchors" in found) != takes and {"springs", "viscous"} <= set(found)
+    assert tried.needed("springs") == tried.needed("viscous") == 0.0
+    assert tried.needed("anchors") == 0.5 * takes
+
+
 def test_one_compiled_fit_serves_laws_with_some_of_the_forces(monkeypatch):
     """Forces that do not act leave the fit what it is, and nothing of them is left."""
     phase, size = np.linspace(0, 6, 6)[:, None], np.linspace(0.2, 0.6, 6)[:, None]

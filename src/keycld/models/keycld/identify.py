@@ -28,13 +28,11 @@ from keycld.models.keycld.law_fit import (
     sound,
     with_law,
 )
-from keycld.models.keycld.selection import WORTH, Tried, select_terms
+from keycld.models.keycld.selection import PLAIN, WORTH, Tried, select_terms
 from keycld.models.keycld.tracks import MISSED, SCARCE, Tracks, extent
 
 # The potential energy of free form stays if without it the error would be larger than with it divided by this.
 _LESS = 0.75
-# What a mechanism has before other forces are suspected.
-_PLAIN = ("springs", "viscous")
 # Pixels of error with which a law explains the recordings well.
 _GOOD = 0.3
 # A motion whose error is so many times the median has been lost: it began in a wrong state. Fewer motions than the
@@ -128,10 +126,10 @@ def _judged(dynamics: MechanicalDynamics, tracks: Tracks, pixel: float, tried: T
         if selected.rms > (1 + WORTH) * everything.rms:
             again = fit_from_nothing(dynamics, kept, tracks)
             selected = cheapest([selected, again])
-        plain = tuple(kind for kind in _PLAIN if kind in tried.named)
+        plain = tuple(kind for kind in PLAIN if kind in tried.named)
         if tried.takes and not set(kept) <= set(plain):
             simple = fit_from_nothing(dynamics, plain, tracks)
-            if simple.cost <= (1 + tried.worth) * selected.cost:
+            if simple.cost <= (1 + max(map(tried.needed, kept))) * selected.cost:
                 selected = simple
         if selected.cost < best.cost / (1 + tried.worth):
             best = selected
