@@ -55,6 +55,15 @@ def test_a_nail_in_the_colour_of_the_cart_stays_in_it():
     np.testing.assert_allclose(found[10:15, 20:25], ground[10:15, 20:25], atol=0.02)
 
 
+def test_a_box_whose_edges_tremble_with_the_camera_stays_in_it():
+    """To both sides by a pixel, at random, beside a ball that moves."""
+    frames = recorded(lambda t: np.hypot(ROWS - 36, COLUMNS - 24 - 15 * np.cos(0.2 * t)) < 4)
+    for frame, shift in zip(frames, np.random.default_rng(1).integers(0, 2, (len(frames), 2)), strict=True):
+        top, left = 8 + shift
+        frame[top : top + 8, left : left + 10] = np.round(255 * ROD)
+    np.testing.assert_allclose(still_background(frames)[9:16, 9:18], np.broadcast_to(ROD, (7, 9, 3)), atol=0.02)
+
+
 def test_the_end_of_a_rod_at_its_pivot_does_not_grow():
     ground = np.where((np.hypot(ROWS - 20, COLUMNS - 24) < 3)[..., None], ROD, GROUND)
 

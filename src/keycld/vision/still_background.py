@@ -14,6 +14,8 @@ _EDGE = 5.0
 _SWEEPS = 40
 # Share of a part that its middle has at least, and width of its border in pixels.
 _MIDDLE, _BORDER = 0.35, 3
+# Places farther than a pixel from that middle which the part passes, as a share of it, at least.
+_PASSED = 0.1
 # Places whose frames are compared at a time.
 _CHUNK = 256
 
@@ -37,7 +39,8 @@ def still_background(frames: UInt8[np.ndarray, "N H W 3"]) -> Float[np.ndarray, 
 
     The middle of a part that moves by less than its length is never seen without it. Places that always have the colour
     of what passes beside them are taken for such a middle if they are more than a third of all that has this colour in
-    a frame, and do not reach the border of the picture: their colours are continued from around them.
+    a frame, and do not reach the border of the picture: their colours are continued from around them. The part must also
+    pass places farther than a pixel away: edges of a box in the background tremble with the hand that holds the camera.
 
     Args:
         frames: of a camera at rest, at any times.
@@ -98,7 +101,11 @@ def _hidden(
             middle = places == k
             if middle[[0, -1]].any() or middle[:, [0, -1]].any():
                 continue
-            seen = _distance(frames[:, ~(still | middle)], np.mean(found[middle], axis=0)) < alike
+            own = np.mean(found[middle], axis=0)
+            passed = np.any(_distance(passing, own) < alike, axis=0) & ~ndimage.binary_dilation(middle)
+            if np.sum(passed) < _PASSED * np.sum(middle):
+                continue
+            seen = _distance(frames[:, ~(still | middle)], own) < alike
             if np.sum(middle) > _MIDDLE * (np.sum(seen) / len(frames) + np.sum(middle)):
                 hidden |= np.asarray(ndimage.binary_dilation(middle, iterations=_BORDER), bool)
         beside &= ~same
