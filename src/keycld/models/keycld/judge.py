@@ -72,8 +72,8 @@ def judge_clip(model: Any, data: Resident, *, worst: float) -> str | None:
     From a place half-way along a thin string the network can render the ball at its end too, and the law of that place
     is a right one around another pivot. So some keypoint must be where the frames differ from the background: by 0.7 of
     the most, a mean over 0.06 units. Measured: 0.11 on such a string, where period, pivot and gravity were wrong by 1.5
-    %, 0.4 units and 13°, and 0.54 on a spring; 0.83 to 0.99 on 25 drawn and real clips whose keypoints are on their
-    parts.
+    %, 0.4 units and 13°, and 0.56 on a spring; 0.85 to 1.01 in 33 trainings on drawn and real clips whose keypoints are
+    on their parts.
 
     Args:
         model: after the stage; its estimator knows the background.
