@@ -39,8 +39,9 @@ def still_background(frames: UInt8[np.ndarray, "N H W 3"]) -> Float[np.ndarray, 
 
     The middle of a part that moves by less than its length is never seen without it. Places that always have the colour
     of what passes beside them are taken for such a middle if they are more than a third of all that has this colour in
-    a frame, and do not reach the border of the picture: their colours are continued from around them. The part must also
-    pass places farther than a pixel away: edges of a box in the background tremble with the hand that holds the camera.
+    a frame, and do not reach the border of the picture: their colours are continued from around them. The part must
+    also pass places farther than a pixel away: edges of a box in the background tremble with the hand that holds the
+    camera.
 
     Args:
         frames: of a camera at rest, at any times.
