@@ -103,7 +103,8 @@ def _hidden(
             if middle[[0, -1]].any() or middle[:, [0, -1]].any():
                 continue
             own = np.mean(found[middle], axis=0)
-            passed = np.any(_distance(passing, own) < alike, axis=0) & ~ndimage.binary_dilation(middle)
+            around = np.asarray(ndimage.binary_dilation(middle), bool)
+            passed = np.any(_distance(passing, own) < alike, axis=0) & ~around
             if np.sum(passed) < _PASSED * np.sum(middle):
                 continue
             seen = _distance(frames[:, ~(still | middle)], own) < alike
