@@ -207,7 +207,7 @@ def test_a_crop_without_motion_and_a_folder_in_use_are_refused(tmp_path, monkeyp
         import_clip(path, tmp_path / "cartpole", constraints="pendulum")
     import_clip(path, tmp_path / "b", constraints="pendulum", size=24)
     # Before it takes a minute to read a long video.
-    monkeypatch.setattr("keycld.data.imports.clip._looked_at", None)
+    monkeypatch.setattr("keycld.data.imports.clip.look_at", None)
     with pytest.raises(KeycldError, match="b already holds data"):
         import_clip(path, tmp_path / "b", constraints="pendulum", size=24)
 

@@ -45,6 +45,14 @@ def test_the_hand_that_releases_a_pendulum_is_not_part_of_it():
     assert 51 <= first <= 58 and last == 240  # the arm is out of the picture from frame 51
 
 
+def test_a_small_hand_that_is_there_once_is_left_out():
+    """It makes a fifth more of the picture differ: fewer than a passer-by, who may come at any time."""
+    string = (abs(COLUMN - 60 - (HELD[:, None, None] - 60) * ROW / 45) < 3) & (ROW < 45)
+    hand = arm(np.maximum(LEAVING, 110.0)) & (LEAVING[:, None, None] < 118)
+    first, last = found(pictures(ball(HELD), string, hand))
+    assert 50 <= first <= 58 and last == 240
+
+
 def test_a_passer_by_leaves_the_longer_part():
     x = 10.0 + 3 * (np.arange(240) - 150)
     walker = (abs(COLUMN - x[:, None, None]) < 12) & (ROW > 20)
@@ -105,3 +113,20 @@ def test_the_part_is_cut_out_and_said(tmp_path):
     save_movie(tmp_path / "short.mp4", short, fps=30.0, scale=1)
     with pytest.raises(KeycldError, match="that shows the mechanism alone and in motion has .. frames, but 60"):
         import_clip(tmp_path / "short.mp4", tmp_path / "c", constraints="spring", size=32)
+
+
+@pytest.mark.parametrize(("amplitude", "out"), [(75.0, True), (40.0, False)])
+def test_a_part_that_leaves_the_picture_is_refused_if_it_is_to_be_followed(tmp_path, amplitude, out):
+    frames = pictures(ball(swinging(240, amplitude, damping=0.0)))
+    save_movie(tmp_path / "swing.mp4", np.repeat(frames[..., None], 3, axis=-1), fps=30, scale=1)
+
+    def made(name, **options):
+        return import_clip(tmp_path / "swing.mp4", tmp_path / name, constraints="pendulum", **options)
+
+    if not out:
+        assert made("whole").frames == (144, 16, 80)
+        return
+    with pytest.raises(KeycldError, match="beyond its left and right edge, in [23].% of the frames"):
+        made("refused")
+    assert list(tmp_path.iterdir()) == [tmp_path / "swing.mp4"]
+    made("cropped", crop=(30, 0, 90, 90))

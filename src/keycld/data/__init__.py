@@ -32,11 +32,11 @@ if TYPE_CHECKING:
     from keycld.data.imports.clip import ImportedClip as ImportedClip
     from keycld.data.imports.clip import before_test as before_test
     from keycld.data.imports.clip import changes_of as changes_of
-    from keycld.data.imports.clip import clip_file as clip_file
     from keycld.data.imports.clip import import_clip as import_clip
     from keycld.data.imports.clip import is_clip as is_clip
     from keycld.data.imports.exposure import Usual as Usual
     from keycld.data.imports.exposure import usual_for as usual_for
+    from keycld.data.imports.same_camera import clip_file as clip_file
     from keycld.data.imports.suite import import_suite as import_suite
     from keycld.data.imports.video import import_video as import_video
     from keycld.data.sample.clips import Clip as Clip

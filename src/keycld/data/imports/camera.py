@@ -13,8 +13,9 @@ from jaxtyping import UInt8
 
 from keycld._errors import KeycldError
 from keycld._ffmpeg import FfmpegError, ffmpeg, input_options
-from keycld.data.imports.clip import is_clip, kept_rate
+from keycld.data.imports.clip import is_clip
 from keycld.data.imports.exposure import Usual
+from keycld.data.imports.same_camera import kept_rate
 from keycld.data.imports.video import crop_filter, unreadable
 
 
