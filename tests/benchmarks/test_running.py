@@ -44,6 +44,10 @@ def wait_until(condition):
         time.sleep(0.02)
 
 
+def test_what_is_named_twice_is_done_once():
+    assert len(experiments(seeds=(1, 0, 1))) == 2
+
+
 def test_a_killed_bench_repeats_no_finished_work(place):
     """kill -9 of `bench run` while the second of three experiments trains."""
     behave(place, pendulum_keycld_1="hang")

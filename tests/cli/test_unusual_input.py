@@ -54,7 +54,7 @@ def test_a_mistyped_option_is_named_with_the_nearest_one(words, meant, capfd):
     assert end.value.code == 2 and f"Unrecognized options: {wrong}" in printed and meant in printed
 
 
-@pytest.mark.parametrize("name", ["README.md", "constraints.toml"])
+@pytest.mark.parametrize("name", ["README.md", "preview.gif", "constraints.toml"])
 def test_an_import_replaces_no_file_of_others(clip, tmp_path, name, capsys):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / name).write_text("my notes")
@@ -111,10 +111,11 @@ def test_a_table_as_excel_writes_it_is_read(tmp_path):
 
 
 def test_an_export_leaves_no_recording_of_an_earlier_one(tmp_path):
+    (tmp_path / "recording_of_my_rig.npz").touch()
     for count in (3, 1):
         tracks = KeypointTracks(("bob",), np.zeros((count, 5, 1, 2)), np.zeros((count, 5, 0)), 0.1)
         paths = write_time_series(tmp_path, tracks)
-    assert sorted(tmp_path.glob("*.npz")) == paths and len(paths) == 1
+    assert sorted(tmp_path.glob("*.npz")) == [*paths, tmp_path / "recording_of_my_rig.npz"] and len(paths) == 1
 
 
 def test_watch_does_not_write_into_a_run_of_train(clip, tmp_path, capsys):

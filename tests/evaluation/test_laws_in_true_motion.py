@@ -1,9 +1,14 @@
 """Laws that are known exactly, held to true motions."""
 
+from types import SimpleNamespace
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from keycld.data import Trajectories
+from keycld.evaluation import Probe
+from keycld.evaluation.acceleration import acceleration_error
 from keycld.evaluation.friction import friction_rates
 from keycld.mechanics import (
     AbstractDynamics,
@@ -16,7 +21,7 @@ from keycld.mechanics import (
     ViscousFriction,
 )
 from keycld.models.base import HasLagrangian
-from keycld.systems import get
+from keycld.systems import Conditions, get
 
 LENGTH, INERTIA, FRICTION, G = 0.8, 0.8**2 + 0.4 * 0.14**2, 0.1, 9.81
 SYSTEM = get("zoo/damped_pendulum")
@@ -43,6 +48,29 @@ def pendulum(friction):
     potential = SumPotential(jnp.array([0.0, G * scale * LENGTH**2 / INERTIA]), {})
     law = ConstrainedLagrangian(PointMasses.ones(1), potential, None, SYSTEM.constraints, slowing)
     return Known(MechanicalDynamics(law, Rattle(4)))
+
+
+def test_accelerations_are_compared_with_the_inputs_that_act(monkeypatch):
+    """Those before the frame; q̈ of a pendulum is linear in sin q, q̇ and the torque."""
+    system = get("pendulum")
+    run = system.record(np.random.RandomState(3), 40, Conditions(input="random-walk"))
+    recordings = Trajectories(
+        run.time, run.input[None], state=run.state[None], state_derivative=run.state_derivative[None]
+    )
+    probe = Probe(system, np.zeros((3, 2)), np.zeros((1, 2)), np.array([True]))
+    seen = []
+
+    def accelerations(model, x, v, u):
+        seen.append(u)
+        return jnp.zeros_like(x)
+
+    monkeypatch.setattr("keycld.evaluation.acceleration._accelerations", accelerations)
+    data = SimpleNamespace(split=lambda *_, **__: recordings)
+    acceleration_error(free_points(1), probe, (system.landmarks(run.state), run.state), data, "test")
+    state, true = run.state[1:], run.state_derivative[1:, 1]
+    causes = np.stack([np.sin(state[:, 0]), state[:, 1], np.asarray(seen[0])[:, 0]], axis=1)
+    off = true - causes @ np.linalg.lstsq(causes, true, rcond=None)[0]
+    assert np.ptp(causes[:, 2]) > 0.1 and np.max(np.abs(off)) < 1e-3 * np.max(np.abs(true))
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5 * FRICTION, FRICTION])

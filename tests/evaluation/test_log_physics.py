@@ -18,20 +18,26 @@ def torque(k):
     return 1.2 * math.sin(0.6 * k * DT * (1 + 0.3 * k * DT)) + 0.4 * math.sin(9 * k * DT)
 
 
-@pytest.fixture(scope="module")
-def rig(tmp_path_factory):
-    """J q̈ = τ − G sin q − b q̇ − c q̇/√(q̇² + ε²) − o, by small steps; torques with 20 % noise, encoder steps of 1e-4."""
+def logged(path, *, every=1, noise=0.2, digits=4, dry=DRY):
+    """J q̈ = τ − G sin q − b q̇ − c q̇/√(q̇² + ε²) − o, by small steps; each torque is held for so many samples."""
     q, rate, rows, fine = 0.0, 0.0, [], 20
     rng = np.random.default_rng(0)
     for k in range(SAMPLES):
-        rows.append((k * DT, round(q, 4), torque(k) + 0.2 * rng.standard_normal()))
+        push = torque(k // every * every)
+        if k % every == 0:
+            rows.append((k * DT, round(q, digits), push + noise * rng.standard_normal()))
         for _ in range(fine):
-            friction = VISCOUS * rate + DRY * rate / math.hypot(rate, 0.05)
-            rate += DT / fine * (torque(k) - WEIGHT * math.sin(q) - friction - OFFSET) / INERTIA
+            friction = VISCOUS * rate + dry * rate / math.hypot(rate, 0.05)
+            rate += DT / fine * (push - WEIGHT * math.sin(q) - friction - OFFSET) / INERTIA
             q += DT / fine * rate
-    path = tmp_path_factory.mktemp("rig") / "log.csv"
     path.write_text("time,position,torque\n" + "".join(f"{t:.6f},{q},{u}\n" for t, q, u in rows))
     return path
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """Torques with 20 % noise, encoder steps of 1e-4."""
+    return logged(tmp_path_factory.mktemp("rig") / "log.csv")
 
 
 def test_inertia_weight_and_friction_of_a_rig(rig):
@@ -50,6 +56,14 @@ def test_inertia_weight_and_friction_of_a_rig(rig):
     assert constants["inertia"]["value"] == pytest.approx(INERTIA, rel=0.1)
     assert constants["gravity_torque"]["value"] == pytest.approx(WEIGHT, rel=0.1)
     assert "inertia" in physics_table(found.physics)
+
+
+def test_torques_that_are_held_for_long_bring_no_friction(tmp_path):
+    """At 50 Hz half a sample of delay would look like a friction of τ̇/2f: here −0.03."""
+    log = read_log(logged(tmp_path / "log.csv", every=5, noise=0.0, digits=9, dry=0.0), ("position",), ("torque",))
+    constants = identify_log(log, load_constraints("pendulum"), "pendulum").physics["constants"]
+    assert constants["viscous_friction"]["value"] == pytest.approx(VISCOUS, abs=0.003)
+    assert constants["dry_friction"]["value"] == pytest.approx(0.0, abs=0.003)
 
 
 def test_the_rest_of_the_log_is_predicted_from_its_torques(rig):

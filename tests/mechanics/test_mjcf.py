@@ -15,6 +15,7 @@ from keycld.mechanics import (
     CoupledMasses,
     DistanceToPoint,
     FixedDistance,
+    FunctionConstraint,
     MechanicalDynamics,
     Motion,
     OnLine,
@@ -29,6 +30,7 @@ from keycld.mechanics import (
 
 mujoco = pytest.importorskip("mujoco")
 DT, FRAMES = 1 / 50, 150
+CHAIN = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
 
 
 def law(matrix, items, names, weight, *, springs=None, friction=None, kinds=()):
@@ -96,6 +98,47 @@ def test_a_cart_on_a_spring():
     along = np.array([1.0, 0.5]) / np.hypot(1.0, 0.5)
     x = jnp.asarray(0.4 * along + 0.1 * np.array([-along[1], along[0]]))
     np.testing.assert_allclose(simulated(chosen, x, [0.4]), moved(chosen, x), atol=3e-3)
+
+
+@pytest.mark.parametrize(("first", "second"), [(-1.0, 9.0), (-17.0, 9.0), (17.0, -9.0)])
+def test_links_with_counterweights(first, second):
+    """They pull an end of their link upward; gravity may then point against the sum of all weights."""
+    chosen = law([[1.6, 0.2], [0.2, 0.7]], CHAIN, ("elbow", "tip"), [0, first, 0, second])
+    x = 0.5 * on_circle([0.6, -0.4])
+    np.testing.assert_allclose(simulated(chosen, x, [0.6, -1.0])[:30], moved(chosen, x)[:30], atol=5e-3)
+
+
+def test_hinge_friction_beyond_a_pivot_that_was_not_known():
+    """The hinge at the pivot has none of its own: friction of the elbow is the same."""
+    items = (DistanceToPoint("elbow", "unknown"), FixedDistance("elbow", "tip"))
+    chosen = law([[1.6, 0.2], [0.2, 0.7]], items, ("elbow", "tip"), [0, 17.0, 0, 9.0], kinds=("joints",))
+    chosen = eqx.tree_at(lambda law: law.dissipation.terms["joints"].strength, chosen, replace_fn=lambda b: b + 0.05)
+    x = 0.5 * on_circle([0.6, -0.4])
+    np.testing.assert_allclose(simulated(chosen, x, [0.6, -1.0]), moved(chosen, x), atol=5e-3)
+
+
+def test_lengths_of_constraints_that_are_no_squares():
+    chosen = law([[1.0]], (DistanceToPoint("ball"),), ("ball",), [0.0, 12.0])
+    chosen = eqx.tree_at(lambda law: law.constraint_function, chosen, chosen.constraint_function.distances())
+    x = 0.6 * on_circle([0.7])
+    np.testing.assert_allclose(simulated(chosen, x, [0.7]), moved(chosen, x), atol=3e-3)
+
+
+@pytest.mark.parametrize("what", ["masses", "friction"])
+def test_couplings_without_a_link_are_refused(what):
+    matrix = {"masses": np.diag([1.0, 0.6, 0.3]), "friction": np.diag([0.5, 0.4, 0.3])}
+    matrix[what][2, 0] = matrix[what][0, 2] = -0.08
+    items = (*CHAIN, FixedDistance("tip", "end"))
+    chosen = law(matrix["masses"], items, ("elbow", "tip", "end"), 3 * [0, 9.0], friction=matrix["friction"])
+    with pytest.raises(KeycldError, match=f"the {what}.* couple keypoints without a link between them"):
+        to_mjcf(chosen, np.ones(3))
+
+
+def test_a_constraint_that_is_no_joint_is_refused():
+    level = FunctionConstraint(function=lambda x: x[1:2], dimension=4)
+    chosen = law(np.eye(2), (*CHAIN, level), ("elbow", "tip"), [0, 9.0, 0, 9.0])
+    with pytest.raises(KeycldError, match="FunctionConstraint is no joint"):
+        to_mjcf(chosen, np.ones(3))
 
 
 def test_a_force_without_a_counterpart_is_refused():

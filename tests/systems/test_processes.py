@@ -1,7 +1,9 @@
 """Worker processes: an error in one is reported once, in the caller."""
 
 import os
+import sys
 import time
+from types import ModuleType
 
 import pytest
 
@@ -51,6 +53,14 @@ def test_results_come_with_their_index():
 def test_workers_leave_the_gpu_to_the_caller(monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
     assert list(run_in_processes([Task(backend, ())])) == [(0, "cpu")]
+
+
+def test_a_system_of_a_script_is_not_blamed_on_the_renderer(monkeypatch):
+    script = ModuleType("of_a_script")
+    exec("def draw(): pass", script.__dict__)
+    monkeypatch.setitem(sys.modules, "of_a_script", script)
+    with pytest.raises(KeycldError, match="'of_a_script': a system must be in a module that other processes can"):
+        list(run_in_processes([Task(script.draw, ())]))
 
 
 def test_a_users_error_arrives_as_it_is():

@@ -61,8 +61,10 @@ def _attempt(experiment: Experiment, place: Place, member: "Member | None") -> i
     stage = "preparation"
     try:
         notes = _Notes(experiment, place)
+        # One of several trainings at a time: each has as many renderer processes as the machine bears.
+        turn = contextlib.nullcontext() if member is None else member.turn
         stage = "data"
-        with notes.timed(stage):
+        with turn, notes.timed(stage):
             make_data(experiment, place)
         stage = "training"
         with notes.timed(stage):
@@ -70,7 +72,7 @@ def _attempt(experiment: Experiment, place: Place, member: "Member | None") -> i
         if member is not None:
             member.leave()
         stage = "evaluation"
-        with contextlib.nullcontext() if member is None else member.turn, notes.timed(stage):
+        with turn, notes.timed(stage):
             evaluate_model(experiment, place)
         stage = "recording"
         write_json(place.result(experiment), condense(experiment, place, notes.seconds))

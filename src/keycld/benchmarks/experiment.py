@@ -21,14 +21,12 @@ class DataRecipe:
         protocol: `"keycld-2022"` (arXiv v1), `"keycld-2024"` (journal version), `"zoo"`, or `"priors"`: the one that
             the set of "Which priors matter?" has by default.
         control: which inputs act: none, under or full; by default as in the protocol.
-        initial_state: how runs begin; by default as in the protocol.
         runs: numbers of trajectories by split, where they are not the default ones.
     """
 
     system: str
     protocol: str = "keycld-2022"
     control: str | None = None
-    initial_state: str | None = None
     runs: tuple[tuple[str, int], ...] = ()
 
     @property
@@ -53,7 +51,6 @@ class DataRecipe:
             folder,
             protocol=None if self.protocol == "priors" else self.protocol,
             control=self.control,
-            initial_state=self.initial_state,
             runs=dict(self.runs),
             all=True,
         )
@@ -119,7 +116,8 @@ class Experiment:
 
     def hash(self) -> str:
         """Return the hash of all that determines the outcome: model, preset, all settings, seed, data recipe."""
-        config, data = self.config(), dataclasses.asdict(self.data)
+        # Results were recorded when a recipe could also say how recordings begin.
+        config, data = self.config(), {"initial_state": None, **dataclasses.asdict(self.data)}
         if not self.data.runs:
             # Results from before there were numbers of trajectories are of the default ones.
             del data["runs"]

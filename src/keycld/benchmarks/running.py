@@ -170,14 +170,16 @@ def _output(run: Path) -> Iterator[IO[Any]]:
 def _record_crash(experiments: Sequence[Experiment], place: Place, code: int) -> None:
     """Record the failure of a process that ended without a record of its own."""
     log = place.run(experiments[0]) / LOG
+    see = f"; see {log}" if log.exists() else ""
     if code < 0:
         kind = signal.Signals(-code).name
         hint = ", often because memory ran out" if kind == "SIGKILL" else ""
-        sentence = f"the process was ended by signal {-code}{hint}; see {log}"
+        sentence = f"the process was ended by signal {-code}{hint}{see}"
     else:
-        kind, sentence = "crash", f"the process ended with code {code}; see {log}"
+        kind, sentence = "crash", f"the process ended with code {code}{see}"
     for experiment in experiments:
-        if status_of(experiment, place).word not in ("done", "failed"):
+        # One of several that another process has taken runs on.
+        if status_of(experiment, place).word not in ("done", "failed", "running"):
             record_failure(experiment, place, "its process", kind, sentence)
 
 

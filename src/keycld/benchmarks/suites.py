@@ -93,8 +93,8 @@ class Suite:
                     raise unknown(kind, name, known, listed=where)
         found = [
             Experiment(self.name, data, model, preset, seed, self.protocols, dict(settings or {}), minutes)
-            for seed in seeds or self.seeds
-            for model in models or self.models
+            for seed in dict.fromkeys(seeds or self.seeds)
+            for model in dict.fromkeys(models or self.models)
             for data in self.data
             if not systems or data.system in systems
         ]

@@ -45,10 +45,13 @@ def acceleration_error(
     recordings = data.split(split, images=False, rows=slice(0, _MOST_TRAJECTORIES))
     if recordings.state is None or recordings.state_derivative is None:
         return None
-    state = recordings.state.reshape(-1, recordings.state.shape[-1])
-    derivative = recordings.state_derivative.reshape(state.shape)
-    u = recordings.input[:, None] if recordings.input.ndim == 2 else recordings.input
-    u = np.broadcast_to(u, (*recordings.state.shape[:2], u.shape[-1])).reshape(len(state), -1)
+    states, derivatives, u = recordings.state, recordings.state_derivative, recordings.input[:, None]
+    if recordings.input.ndim == 3:
+        # The derivative at a frame is that with the input before it; none is known before the first.
+        states, derivatives, u = states[:, 1:], derivatives[:, 1:], recordings.input[:, :-1]
+    state = states.reshape(-1, states.shape[-1])
+    derivative = derivatives.reshape(state.shape)
+    u = np.broadcast_to(u, (*states.shape[:2], u.shape[-1])).reshape(len(state), -1)
     before, now, after = (probe.system.landmarks(moved(state, derivative, sign * _STEP)) for sign in (-1, 0, 1))
     true = (after - 2 * now + before) / _STEP**2
     x, v = keypoint_motion(probe.system, fit, state, derivative)

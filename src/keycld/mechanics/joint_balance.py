@@ -134,7 +134,8 @@ def fit_joint_law(
     """
     half = max(4, round(_WINDOW / dt / 2))
     place, rate, scatter = _cubics(q, dt)
-    torque = torque[_CUBIC // 2 : len(torque) - _CUBIC // 2]
+    # A torque that changes at a sample acts on the bump around it half before, half after.
+    held = np.concatenate([torque[:1], (torque[:-1] + torque[1:]) / 2])[_CUBIC // 2 : len(torque) - _CUBIC // 2]
     span = np.linspace(-1, 1, 2 * half + 1)
     bump, slope = (1 - span**2) ** 4, -8 * span * (1 - span**2) ** 3 / (half * dt)
     begins = np.arange(0, len(place) - 2 * half, max(1, half // 2))
@@ -153,7 +154,7 @@ def fit_joint_law(
             for b in begins
         ]
     )
-    target = np.stack([bump @ torque[b : b + 2 * half + 1] for b in begins])
+    target = np.stack([bump @ held[b : b + 2 * half + 1] for b in begins])
     matrix = rows.reshape(-1, size)
     scale = np.linalg.norm(matrix, axis=0)
     values = np.linalg.svd(matrix / np.where(scale > 0, scale, 1.0), compute_uv=False)

@@ -53,6 +53,8 @@ def joints_of(constraint: AbstractConstraint) -> tuple[Joint, ...]:
                     f"the link {item.first}–{item.second} hangs on nothing: name its joints from the ground."
                 )
             found.append(Joint(ends[0] + ends[1] - near, near, False, (0.0, 0.0)))
+        else:
+            raise KeycldError(f"{type(item).__name__} is no joint: describe the mechanism by links and slides alone.")
     moved = [joint.keypoint for joint in found]
     if sorted(moved) != list(range(len(constraint.keypoints))):
         raise KeycldError("joints are those of an open chain, in which each keypoint has one link or slide.")

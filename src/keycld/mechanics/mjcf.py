@@ -3,14 +3,16 @@
 import dataclasses
 from xml.etree import ElementTree
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from keycld._errors import KeycldError
+from keycld.mechanics.constants import lengths_of
 from keycld.mechanics.constraints import Constraints
 from keycld.mechanics.force import SumPotential, terms_of
 from keycld.mechanics.forces.coulomb import CoulombFriction
-from keycld.mechanics.forces.joints import JointFriction
+from keycld.mechanics.forces.joints import JointFriction, hinged_links
 from keycld.mechanics.forces.springs import Springs
 from keycld.mechanics.forces.viscous import ViscousFriction
 from keycld.mechanics.joint_coordinates import Joint, joints_of
@@ -22,6 +24,8 @@ _SPARE = 0.02
 _FAR = 1e4
 _GIVES = "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
 _RIGID = "the masses are not those of rigid bodies: measure them on more recordings."
+# Couplings of keypoints without a link between them, as a share of what they have alone, that errors explain.
+_STRAY = 0.05
 
 
 @dataclasses.dataclass
@@ -60,14 +64,16 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
     joints = joints_of(constraint)
     assert isinstance(constraint, Constraints)
     values = np.asarray(constants, float)
-    lengths = [0.0 if j.slide else metres * float(np.sqrt(c)) for j, c in zip(joints, values, strict=True)]
-    matrix = np.asarray(law.mass.matrix, float)
+    known = iter(lengths_of(constraint, jnp.asarray(constants)).values())
+    lengths = [0.0 if joint.slide else metres * float(next(known)) for joint in joints]
+    matrix = _along_links(np.asarray(law.mass.matrix, float), joints, "masses")
     weights = _weights(law)
     unit = matrix.sum()
-    parts, gravity = _bodies(constraint.keypoints, joints, lengths, matrix / unit, weights / unit * metres)
+    parts, pull = _bodies(constraint.keypoints, joints, lengths, matrix / unit, weights / unit * metres)
+    gravity = float(np.linalg.norm(pull))
     root = ElementTree.Element("mujoco", model="keycld")
     # Along a line gravity only shifts where a spring rests; `_springs` puts it there.
-    direction = _direction(weights) * (0.0 if "springs" in terms_of(law) else gravity)
+    direction = np.zeros(2) if "springs" in terms_of(law) else pull
     # Frequencies of a mechanism that falls in g over its length; the step is a small part of that time.
     reach = max([length for length in lengths if length] or [metres])
     step = min(0.002, 0.005 / np.sqrt(max(gravity, 1e-6) / reach))
@@ -114,22 +120,41 @@ def _direction(weights: np.ndarray) -> np.ndarray:
     return total / size if size > 1e-9 else np.array([0.0, -1.0])
 
 
+def _along_links(matrix: np.ndarray, joints: tuple[Joint, ...], what: str) -> np.ndarray:
+    """Return a symmetric matrix of keypoints without couplings of those that no link joins: MuJoCo has none."""
+    linked = np.eye(len(matrix), dtype=bool)
+    for joint in joints:
+        if joint.parent is not None:
+            linked[joint.keypoint, joint.parent] = linked[joint.parent, joint.keypoint] = True
+    alone = np.sqrt(np.abs(np.diagonal(matrix)))
+    if np.any(np.abs(matrix[~linked]) > _STRAY * np.outer(alone, alone)[~linked]):
+        raise KeycldError(
+            f"the {what} couple keypoints without a link between them, which MuJoCo does not: measure them on more "
+            "recordings, or export the keypoints with --to csv."
+        )
+    return np.where(linked, matrix, 0.0)
+
+
 def _bodies(
     names: tuple[str, ...], joints: tuple[Joint, ...], lengths: list[float], matrix: np.ndarray, weights: np.ndarray
-) -> tuple[list[_Part], float]:
-    """Return rigid bodies with this mass matrix and these weights, and the strength of gravity.
+) -> tuple[list[_Part], np.ndarray]:
+    """Return rigid bodies with this mass matrix and these weights, and gravity as a vector.
 
     A link with mass μ, first moment h l and inertia m l² about its near end adds μ − 2h + m, h − m and m to the mass
     matrix, and g (μ − h), g h to the weights of its ends. From the tip inward, each link takes m from the diagonal
     and h − m from beside it; what is left at its near end belongs to the links before.
     """
-    matrix = matrix.copy()
-    pulls = -(weights @ _direction(weights))
-    last = joints[-1]
+    matrix, direction, last = matrix.copy(), _direction(weights), joints[-1]
+    pulls = -(weights @ direction)
     own = matrix[last.keypoint, last.keypoint]
     beside = matrix[last.keypoint, last.parent] if last.parent is not None else 0.0
-    # A single part is taken as a point mass: one motion does not show more.
-    gravity = float(abs(pulls[last.keypoint]) / (own + beside))
+    if not abs(own + beside) > 1e-6 * own:
+        raise KeycldError(f"'{names[last.keypoint]}' is balanced about its joint, so that its motion shows no gravity.")
+    # A single part is taken as a point mass: one motion does not show more. Where counterweights pull most, gravity
+    # points against the sum of all weights.
+    gravity = float(pulls[last.keypoint] / (own + beside))
+    if gravity < 0:
+        gravity, direction, pulls = -gravity, -direction, -pulls
     parts = []
     for joint, length in reversed(list(zip(joints, lengths, strict=True))):
         k, p = joint.keypoint, joint.parent
@@ -140,8 +165,8 @@ def _bodies(
             parts.append(_Part(names[k], joint, length, own, 0.0, own * 1e-6))
             continue
         if p is None:
-            moment = abs(pulls[k]) / gravity if gravity > 1e-9 else 0.0
-            mass = (1 + _SPARE) * moment**2 / own if moment > 0 else own
+            moment = pulls[k] / gravity if gravity > 1e-9 else 0.0
+            mass = (1 + _SPARE) * moment**2 / own if moment else own
         else:
             moment = own + matrix[k, p]
             least = moment**2 / own
@@ -150,10 +175,10 @@ def _bodies(
                 raise KeycldError(_RIGID)
             mass = least + _SPARE * spare
             matrix[p, p] -= mass - 2 * moment + own
-            pulls[p] -= np.sign(pulls[k]) * gravity * (mass - moment)
+            pulls[p] -= gravity * (mass - moment)
         centre = length * moment / mass
         parts.append(_Part(names[k], joint, length, mass, centre, own * length**2 - mass * centre**2))
-    return parts[::-1], gravity
+    return parts[::-1], gravity * direction
 
 
 def _springs(law: ConstrainedLagrangian, parts: list[_Part], unit: float, metres: float) -> None:
@@ -182,7 +207,7 @@ def _friction(
     viscous = terms.get("viscous")
     if isinstance(viscous, ViscousFriction):
         matrix = np.asarray(viscous.coefficients, float)
-        matrix = (np.tril(matrix) + np.tril(matrix, -1).T) / unit
+        matrix = _along_links((np.tril(matrix) + np.tril(matrix, -1).T) / unit, joints, "friction terms")
         for k, joint in enumerate(joints):
             if joint.parent is not None:
                 between = -matrix[joint.keypoint, joint.parent]
@@ -196,7 +221,9 @@ def _friction(
                 _resisted(parts[k], elements, alone)
     hinges = terms.get("joints")
     if isinstance(hinges, JointFriction):
-        links = [k for k, joint in enumerate(joints) if not joint.slide]
+        assert isinstance(law.constraint_function, Constraints)
+        hinged = hinged_links(law.constraint_function)
+        links = [k for k, item in enumerate(law.constraint_function.items) if any(item is link for link in hinged)]
         for strength, row in zip(np.asarray(hinges.strength, float) / unit, hinges.hinges, strict=True):
             combined = np.zeros(len(joints))
             for k, share in zip(links, row, strict=True):
@@ -208,9 +235,7 @@ def _friction(
             raise KeycldError("dry friction can be exported for a single part only.")
         parts[0].loss = float(np.asarray(dry.strength)[0]) / unit * (parts[0].length or 1.0)
     if any(part.damping < 0 or part.loss < 0 for part in parts):
-        raise KeycldError(
-            "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
-        )
+        raise KeycldError(_GIVES)
 
 
 def _chain(joints: tuple[Joint, ...], k: int) -> list[int]:
@@ -238,9 +263,7 @@ def _turning(parts: list[_Part], tendons: ElementTree.Element, chain: list[int] 
         parts[acting[0]].damping += damping * shares[acting[0]] ** 2
         return
     if damping < 0:
-        raise KeycldError(
-            "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
-        )
+        raise KeycldError(_GIVES)
     tendon = ElementTree.SubElement(tendons, "fixed", damping=_text(damping))
     for k in acting:
         ElementTree.SubElement(tendon, "joint", joint=parts[k].name, coef=_text(shares[k]))
@@ -249,9 +272,7 @@ def _turning(parts: list[_Part], tendons: ElementTree.Element, chain: list[int] 
 def _resisted(part: _Part, elements: tuple[ElementTree.Element, ElementTree.Element], damping: float) -> None:
     """Add dampers from a keypoint to points far away, to the right and above: friction in any direction."""
     if damping < 0:
-        raise KeycldError(
-            "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
-        )
+        raise KeycldError(_GIVES)
     world, tendons = elements
     for name, place in (("right", (1.0, 0.0)), ("above", (0.0, 1.0))):
         site = f"{part.name}_{name}"

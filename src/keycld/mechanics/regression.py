@@ -42,8 +42,9 @@ def regress_forces(
         u: inputs, constant or held per frame.
         dt: seconds between frames.
     """
-    states = _local_cubics(observed, float(dt))
-    inputs = u[:, None] if u.ndim == 2 else u[:, _WINDOW // 2 :][:, : states[0].shape[1]]
+    window = min(_WINDOW, observed.shape[1])
+    states = _local_cubics(observed, float(dt), window)
+    inputs = u[:, None] if u.ndim == 2 else u[:, window // 2 :][:, : states[0].shape[1]]
     inputs = jnp.broadcast_to(inputs, (*states[0].shape[:2], inputs.shape[-1]))
     rows = inputs.shape[0] * inputs.shape[1]
     x, v, a, inputs = (jnp.asarray(part).reshape(rows, part.shape[-1]) for part in (*states, inputs))
@@ -64,9 +65,8 @@ def regress_forces(
     return best[1]
 
 
-def _local_cubics(observed: Array, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return positions, velocities and accelerations `[N, T − 6, dim]` at the middle of each window."""
-    window = min(_WINDOW, observed.shape[1])
+def _local_cubics(observed: Array, dt: float, window: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return positions, velocities and accelerations `[N, T − window + 1, dim]` at the middle of each window."""
     offsets = dt * (np.arange(window) - window // 2)
     coefficients = np.linalg.pinv(np.vander(offsets, min(4, window), increasing=True))
     windows = np.lib.stride_tricks.sliding_window_view(np.asarray(observed, float), window, axis=1)

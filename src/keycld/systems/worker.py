@@ -27,6 +27,9 @@ def main() -> None:
             function, arguments = tasks.recv()
         except EOFError:
             return
+        except (AttributeError, ImportError) as error:
+            answers.send(KeycldError(f"{error}: a system must be in a module that other processes can import."))
+            continue
         try:
             answer = function(*arguments)
         except KeycldError as error:

@@ -31,7 +31,7 @@ def fitting_share(config: ModelConfig, scene: Scene, data: Resident, minutes: fl
     """
     model = config.build(scene, jax.random.key(0))
     seconds = sum(_seconds(stage, model, data, devices) for stage in config.stages(scene) if stage.steps)
-    return min(1.0, 60.0 * minutes / seconds)
+    return min(1.0, 60.0 * minutes / seconds) if seconds else 1.0
 
 
 def _seconds(stage: Stage, model: AbstractModel, data: Resident, devices: Devices) -> float:

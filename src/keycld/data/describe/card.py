@@ -34,12 +34,17 @@ def card(train: Trajectories, figures: dict[str, Any]) -> str:
     if "baselines" in figures:
         parts += ["## Parameters and conserved quantity", _ranges(figures)]
         parts += ["## Trivial predictions", _baselines(figures["baselines"])]
+    if "baselines" in figures:
+        valid = "the first frame after the 64 of a training window whose normalised error exceeds 0.025"
+        trivial = "the mean training picture"
+    else:
+        epsilon = figures["splits"]["validation"].get("epsilon", float("nan"))
+        valid = f"the first frame whose mean squared error exceeds ε = {epsilon:.3e}"
+        trivial = "the mean image and of the frozen last frame"
     parts += [
         "## How to evaluate",
-        f"Valid prediction time: the first frame whose mean squared error exceeds ε = "
-        f"{figures['splits']['validation'].get('epsilon', float('nan')):.3e}, as a part of the frames; the model "
-        "gets the first frames and the input only, never `/state`. Report the scores of the mean image and of the "
-        "frozen last frame next to every result.",
+        f"Valid prediction time: {valid}, as a part of the frames; the model gets the first frames and the input only, "
+        f"never `/state`. Report the scores of {trivial} next to every result.",
         "`keycld data check` on this folder compares every file with `statistics.json`.",
     ]
     return "\n\n".join(parts) + "\n"

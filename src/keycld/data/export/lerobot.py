@@ -53,11 +53,7 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
         "length": np.full(count, length),
         "dataset_from_index": length * np.arange(count),
         "dataset_to_index": length * np.arange(1, count + 1),
-        **{
-            f"{part}/{each}_index": np.zeros(count, int)
-            for part in ("data", "meta/episodes")
-            for each in ("chunk", "file")
-        },
+        **dict.fromkeys(_PLACES, np.zeros(count, int)),
     }
     for name, values in columns.items():
         parts = [_statistics(part) for part in np.split(values, count)]

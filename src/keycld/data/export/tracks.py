@@ -75,5 +75,6 @@ def write_time_series(folder: Path, tracks: KeypointTracks, metres: float = 1.0)
             )
         paths.append(path)
     for path in set(folder.glob("recording_*.npz")) - set(paths):
-        path.unlink()  # of an earlier export of more recordings
+        if path.stem.removeprefix("recording_").isdecimal():
+            path.unlink()  # of an earlier export of more recordings
     return paths

@@ -10,7 +10,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld.data.format.hdf5 import open_file
-from keycld.data.format.rules import EVERY, check_images, check_structure, recordings_in
+from keycld.data.format.rules import EVERY, check_images, check_structure, check_values, recordings_in
 from keycld.data.format.trajectories import Trajectories
 
 
@@ -41,8 +41,9 @@ def read_each(path: str | Path, rows: Iterable[slice], *, images: bool = True) -
         KeycldError: as `read`.
     """
     with open_file(path) as file:
+        refuse(check_structure(file, slice(0, 0)), path)
         for group in rows:
-            refuse(check_structure(file, group), path)
+            refuse(check_values(file, group), path)
             trajectories = _load_small(file, group)
             if images and "image" in file:
                 trajectories = dataclasses.replace(trajectories, image=_pictures(file, group, path))

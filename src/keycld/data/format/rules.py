@@ -29,7 +29,12 @@ def check_structure(file: File, rows: slice = EVERY) -> list[str]:
     problems = list(_attribute_problems(file)) + list(_field_problems(file))
     # Shapes are compared only if every field is there and of the right kind, values only if the shapes agree.
     problems = problems or list(_shape_problems(file))
-    return problems or list(_value_problems(file, rows))
+    return problems or check_values(file, rows)
+
+
+def check_values(file: File, rows: slice) -> list[str]:
+    """List the violations in the values of some rows of a file whose structure is right."""
+    return list(_value_problems(file, rows))
 
 
 def _attribute_problems(file: File) -> Iterator[str]:

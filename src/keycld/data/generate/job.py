@@ -109,7 +109,7 @@ class Job:
             shutil.rmtree(partial, ignore_errors=True)
             return self.made(False, 0)
         missing = self._missing()
-        refuse_foreign(folder, ("README.md",))
+        refuse_foreign(folder, ("README.md", "preview.gif"))
         make_folder(partial)
         write_text(partial / "recipe.json", json.dumps(self._recipe))
         if read_statistics(folder) is not None and set(missing) <= set(ON_DEMAND):

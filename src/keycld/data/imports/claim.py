@@ -13,7 +13,7 @@ def refuse_used(folder: Path) -> None:
     Raises:
         KeycldError: it holds other data, or files of others that data would replace.
     """
-    refuse_foreign(folder, ("README.md", CONSTRAINTS))
+    refuse_foreign(folder, ("README.md", "preview.gif", CONSTRAINTS))
     made = read_statistics(folder) is None and (folder / PARTIAL / "recipe.json").exists()  # written by `make_data`
     if made or (any(folder.glob("*.h5")) and not unfinished(folder)):
         raise KeycldError(f"{folder} already holds data: choose another folder, or delete it first.")

@@ -39,8 +39,7 @@ class JointFriction(AbstractDissipationTerm):
     @classmethod
     def zero(cls, constraint: AbstractConstraint, *, key: PRNGKeyArray) -> "JointFriction | None":
         """Return no friction; None without links."""
-        links = [item for item in _items(constraint) if isinstance(item, (FixedDistance, DistanceToPoint))]
-        links = [link for link in links if isinstance(link.origin({}), tuple)] if links else []
+        links = hinged_links(constraint)
         if not links:
             return None
         assert isinstance(constraint, Constraints)
@@ -63,6 +62,12 @@ class JointFriction(AbstractDissipationTerm):
         turning = (along[:, 0] * rate[:, 1] - along[:, 1] * rate[:, 0]) / (jnp.sum(along**2, axis=1) + 1e-6)
         hinges = jnp.sum(jnp.array(self.hinges, x.dtype) * turning[None, :], axis=1)
         return 0.5 * jnp.sum(self.strength * hinges**2)
+
+
+def hinged_links(constraint: AbstractConstraint) -> list[FixedDistance | DistanceToPoint]:
+    """Return the links whose hinges have friction of their own: those that hang on no unknown point."""
+    links = [item for item in _items(constraint) if isinstance(item, (FixedDistance, DistanceToPoint))]
+    return [link for link in links if isinstance(link.origin({}), tuple)]
 
 
 def _items(constraint: AbstractConstraint) -> list:

@@ -89,6 +89,7 @@ class TwoBody(AbstractTwoBody):
     ranges = {"m": (1.0, 1.0), "g": (1.0, 1.0)}
     half_width = 2.75
     hues = 2
+    # The bodies are alike, so a keypoint may follow a colour: `looks_differ` is not needed.
     keypoints = ("first", "second")
 
 
