@@ -11,8 +11,8 @@ import numpy as np
 from scipy import ndimage
 from validation.drawn_clips import Camera, Drawn, double_pendulum, hanging, integrated, pendulum, single
 
-# Pictures, and pixels of a clip's unit of length.
-_HEIGHT, _WIDTH, _UNIT = 360, 640, 150.0
+# Height and width of pictures, and pixels of a clip's unit of length.
+_SIZE, _UPRIGHT, _UNIT = (360, 640), (640, 360), 150.0
 # Deviation of the exposure, of the hand in pixels, and of the sensor.
 _EXPOSURE, _HAND, _NOISE = 0.025, 0.4, 5.0
 # So many instants make a frame, over half of its time.
@@ -53,25 +53,49 @@ class _Link:
 _Parts = list[_Disc | _Link]
 
 
-def phone_pendulum(random: np.random.Generator, camera: Camera, *, held: float = 0.0) -> Drawn:
-    """A ball on a string, from rest at some forty degrees; a hand may hold it there at first, for so many seconds."""
+def phone_pendulum(
+    random: np.random.Generator,
+    camera: Camera,
+    *,
+    held: float = 0.0,
+    caught: float | None = None,
+    upright: bool = False,
+) -> Drawn:
+    """A ball on a string, from rest at some forty degrees, or twenty on a long string in an upright picture.
+
+    A hand may hold it there at first, for so many seconds, and may catch it with so many left.
+    """
     square, friction, fine = random.uniform(9, 13), random.uniform(0.05, 0.1), _fine(camera)
-    swing = pendulum(np.array([random.uniform(0.6, 0.9), 0.0]), square, friction, fine)
-    still = round(held * fine.fps)
+    begin = random.uniform(0.6, 0.9) * (0.5 if upright else 1.0)
+    swing = pendulum(np.array([begin, 0.0]), square, friction, fine)
+    still, end = round(held * fine.fps), fine.frames if caught is None else fine.frames - round(caught * fine.fps)
     angle = np.concatenate([np.full(still, swing[0]), swing])
-    pivot = np.array([330.0, 40.0])
+    angle[end:] = angle[min(end, len(angle) - 1)]
+    pivot, length = (np.array([175.0, 30.0]), 2.6) if upright else (np.array([330.0, 40.0]), 1.6)
+
+    def ball(k: int) -> np.ndarray:
+        return pivot + length * _UNIT * np.array([np.sin(angle[k]), np.cos(angle[k])])
 
     def parts(k: int) -> _Parts:
-        ball, first = (pivot + 1.6 * _UNIT * np.array([np.sin(a), np.cos(a)]) for a in (angle[k], swing[0]))
-        hanging: _Parts = [_Link(pivot, ball, 2, (60, 55, 50)), _Disc(ball, 13, (190, 60, 50))]
-        away = 900 * max(0.0, (k - still) / fine.fps) ** 2
-        if not held or away > 500:
-            return hanging
-        palm = first + np.array([22 + away, 4 - away / 5])
-        arm = _Link(palm + np.array([15, 5]), palm + np.array([400, 150]), 46, (205, 160, 130))
-        return [*hanging, arm, _Disc(palm, 26, (215, 170, 140))]
+        hanging: _Parts = [_Link(pivot, ball(k), 2, (60, 55, 50)), _Disc(ball(k), 13, (190, 60, 50))]
+        if held:
+            hanging += _hand(ball(0), (k - still) / fine.fps)
+        if caught is not None:
+            hanging += _hand(ball(end), (end - k) / fine.fps)
+        return hanging
 
-    return Drawn(_filmed(random, camera, parts), single(square, friction) | {"gravity_direction": -90.0})
+    size = _UPRIGHT if upright else _SIZE
+    return Drawn(_filmed(random, camera, parts, size), single(square, friction) | {"gravity_direction": -90.0})
+
+
+def _hand(place: np.ndarray, seconds: float) -> _Parts:
+    """A hand at a place, which it leaves to the right after second 0."""
+    away = 900 * max(0.0, seconds) ** 2
+    if away > 500:
+        return []
+    palm = place + np.array([22 + away, 4 - away / 5])
+    arm = _Link(palm + np.array([15, 5]), palm + np.array([400, 150]), 46, (205, 160, 130))
+    return [arm, _Disc(palm, 26, (215, 170, 140))]
 
 
 def phone_spring(random: np.random.Generator, camera: Camera) -> Drawn:
@@ -116,9 +140,11 @@ def _fine(camera: Camera) -> Camera:
     return camera._replace(frames=2 * _INSTANTS * camera.frames, fps=2 * _INSTANTS * camera.fps)
 
 
-def _filmed(random: np.random.Generator, camera: Camera, parts: Callable[[int], _Parts]) -> np.ndarray:
-    y, x = np.mgrid[:_HEIGHT, :_WIDTH].astype(float)
-    ground = _ground(random)
+def _filmed(
+    random: np.random.Generator, camera: Camera, parts: Callable[[int], _Parts], size: tuple[int, int] = _SIZE
+) -> np.ndarray:
+    y, x = np.mgrid[: size[0], : size[1]].astype(float)
+    ground = _ground(random, size)
     hand = ndimage.gaussian_filter1d(random.normal(size=(camera.frames, 2)), 2, axis=0)
     drift = ndimage.gaussian_filter1d(random.normal(size=camera.frames), 25)
     hand, drift = _HAND * hand / hand.std(), _EXPOSURE * drift / drift.std()
@@ -137,15 +163,15 @@ def _filmed(random: np.random.Generator, camera: Camera, parts: Callable[[int], 
     return np.array(frames)
 
 
-def _ground(random: np.random.Generator) -> np.ndarray:
+def _ground(random: np.random.Generator, size: tuple[int, int]) -> np.ndarray:
     """Return a blurred room: texture of all sizes, and some boxes."""
-    texture = np.zeros((_HEIGHT, _WIDTH, 3))
-    for size, strength in ((80, 40), (25, 18), (6, 10), (1.5, 6)):
-        noise = ndimage.gaussian_filter(random.normal(size=texture.shape), (size, size, 0))
+    texture = np.zeros((*size, 3))
+    for scale, strength in ((80, 40), (25, 18), (6, 10), (1.5, 6)):
+        noise = ndimage.gaussian_filter(random.normal(size=texture.shape), (scale, scale, 0))
         texture += strength * noise / noise.std()
     ground = 0.7 * texture.mean(axis=-1, keepdims=True) + 0.3 * texture + np.array([150.0, 140.0, 125.0])
     for _ in range(6):
-        top, left = random.integers(0, _HEIGHT - 60), random.integers(0, _WIDTH - 80)
+        top, left = random.integers(0, size[0] - 60), random.integers(0, size[1] - 80)
         high, wide = random.integers(20, 60), random.integers(30, 80)
         box = ground[top : top + high, left : left + wide]
         box[:] = 0.3 * box + 0.7 * random.uniform(40, 210, 3)
@@ -155,6 +181,8 @@ def _ground(random: np.random.Generator) -> np.ndarray:
 PHONE = {
     "phone_pendulum": (phone_pendulum, "pendulum"),
     "phone_hand": (functools.partial(phone_pendulum, held=1.0), "pendulum"),
+    "phone_upright": (functools.partial(phone_pendulum, held=1.0, upright=True), "pendulum"),
+    "phone_caught": (functools.partial(phone_pendulum, held=1.0, caught=1.5), "pendulum"),
     "phone_spring": (phone_spring, "spring"),
     "phone_double": (phone_double, "double-pendulum"),
 }

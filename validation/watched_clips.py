@@ -59,6 +59,8 @@ CLIPS = (
     Clip("phone_pendulum", 300, Camera()),
     Clip("phone_hand", 300, Camera()),
     Clip("phone_hand", 5, Camera()),
+    Clip("phone_upright", 300, Camera()),
+    Clip("phone_caught", 300, Camera()),
     Clip("phone_spring", 300, Camera()),
     Clip("phone_double", 300, Camera(480, 60.0)),
 )
