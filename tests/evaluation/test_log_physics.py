@@ -66,6 +66,57 @@ def test_torques_that_are_held_for_long_bring_no_friction(tmp_path):
     assert constants["dry_friction"]["value"] == pytest.approx(0.0, abs=0.003)
 
 
+def driven(path, acceleration, positions):
+    """Two coordinates at most under a force on the first one, held for each sample at 100 Hz; small steps."""
+    dt, fine, rows = 0.01, 40, []
+    q, rate = np.zeros((2, len(positions)))
+    for k in range(2000):
+        push = 4 * math.sin(0.05 * k) + 3 * math.sin(0.011 * k + 1) + 2 * math.sin(0.13 * k)
+        rows.append((k * dt, *q, push))
+        for _ in range(fine):
+            rate = rate + dt / fine * acceleration(q, rate, push)
+            q = q + dt / fine * rate
+    lines = [",".join(f"{number:.9g}" for number in row) for row in rows]
+    path.write_text("\n".join([f"time,{','.join(positions)},force", *lines]))
+    return read_log(path, positions, ("force",))
+
+
+def test_a_cart_with_a_pole(tmp_path):
+    """A slide has no weight, and units of its own."""
+    cart, bob, length, b, c = 1.2, 0.3, 0.5, 0.8, 0.01
+
+    def acceleration(q, rate, push):
+        coupling = bob * length * math.cos(q[1])
+        inertia = np.array([[cart + bob, coupling], [coupling, bob * length**2]])
+        force = push - b * rate[0] + bob * length * rate[1] ** 2 * math.sin(q[1])
+        torque = -bob * 9.81 * length * math.sin(q[1]) - c * rate[1]
+        return np.linalg.solve(inertia, np.array([force, torque]))
+
+    log = driven(tmp_path / "log.csv", acceleration, ("place", "angle"))
+    found = identify_log(log, load_constraints("cart-pole"), "cart-pole", lengths=(1.0, length)).physics["constants"]
+    truth = {
+        "inertia_1_1": (cart + bob, "kg"),
+        "inertia_1_2": (bob * length, "kg m"),
+        "inertia_2_2": (bob * length**2, "kg m²"),
+        "gravity_torque_2": (bob * 9.81 * length, "N m"),
+        "viscous_friction_1": (b, "N s/m"),
+        "viscous_friction_2": (c, "N m s"),
+    }
+    for name, (value, unit) in truth.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.02) and found[name]["unit"] == unit, name
+    assert found["stiffness_1"]["value"] == pytest.approx(0.0, abs=0.03) and found["stiffness_1"]["unit"] == "N/m"
+    assert "gravity_torque_1" not in found and "stiffness_2" not in found
+
+
+def test_a_mass_on_a_spring(tmp_path):
+    mass, stiffness, b = 0.5, 20.0, 0.4
+    log = driven(tmp_path / "log.csv", lambda q, v, push: (push - stiffness * (q - 0.03) - b * v) / mass, ("place",))
+    found = identify_log(log, load_constraints("spring"), "spring").physics["constants"]
+    for name, value in {"inertia": mass, "stiffness": stiffness, "viscous_friction": b}.items():
+        assert found[name]["value"] == pytest.approx(value, rel=0.02), name
+    assert found["torque_offset"]["value"] == pytest.approx(-0.03 * stiffness, rel=0.02)
+
+
 def test_the_rest_of_the_log_is_predicted_from_its_torques(rig):
     found = identify_log(read_log(rig, ("position",), ("torque",)), load_constraints("pendulum"), "pendulum")
     off = np.abs(found.predicted - found.measured)

@@ -89,8 +89,14 @@ def test_distances_have_the_same_directions():
     one, other = jax.jacfwd(squares)(X), jax.jacfwd(distances)(X)
     np.testing.assert_allclose(one, np.array([1.0, 10.0, 10.0, 1.0])[:, None] * other, rtol=1e-6)
     assert distances.distances() == distances != squares
-    nested = Constraints(("cart", "tip"), (squares,)).distances()
-    np.testing.assert_array_equal(nested(X), distances(X))
+    assert Constraints(("cart", "tip"), (squares,)).distances() == distances
+
+
+def test_joined_constraints_hold_for_their_keypoints_whatever_the_order():
+    low = Constraints(("tip", "cart"), (OnLine("tip"),))
+    joined = Constraints(("cart", "tip"), (OnLine("cart"), low))
+    assert joined == Constraints(("cart", "tip"), (OnLine("cart"), OnLine("tip")))
+    np.testing.assert_allclose(joined(X), [X[1], X[3]])
 
 
 def test_derivatives_of_a_distance_exist_where_the_points_meet():
@@ -120,7 +126,15 @@ def test_distances_are_not_written():
         (lambda: DistanceToPoint("tip", 3), "two finite numbers"),
         (lambda: DistanceToPoint("tip", ""), "empty"),
         (lambda: Constraints(("a",), (7,)), "'int' is no constraint"),
-        (lambda: Constraints(("a",), (Constraints(("a", "b")),)), "4 coordinates cannot join 1"),
+        (lambda: Constraints(("a",), (Constraints(("a", "b")),)), "unknown keypoint 'b'"),
+        (
+            lambda: Constraints(("a", "b"), (Constraints(("b", "a"), (lambda x, _: x[:1],)),)),
+            "a function of the keypoints b, a cannot join those of a, b",
+        ),
+        (
+            lambda: Constraints(("a", "b"), (Constraints(("a", "b"), (FixedDistance("a", "b"),)).distances(),)),
+            "by squares and by distances cannot be joined",
+        ),
         (lambda: FunctionConstraint(lambda x, _: jnp.outer(x, x), 2)(X[:2]), r"float32 of shape \(2, 2\)"),
     ],
 )

@@ -86,7 +86,7 @@ def test_forces_along_a_bar_are_none():
     bar = FixedDistance("c", "a")
     assert zero("pairs", Constraints(("a", "c"), (bar,))) is None
     inner = Constraints(("a", "b", "c"), (bar,))
-    for constraint in (inner, Constraints(("one", "two", "three"), (inner,))):
+    for constraint in (inner, Constraints(("a", "b", "c"), (inner,))):
         term = zero("pairs", constraint)
         assert isinstance(term, PairForces) and term.strength.shape == (2, 3)
         assert list(zip(term.first, term.second, strict=True)) == [(0, 1), (1, 2)]

@@ -10,6 +10,7 @@ import sys
 import pytest
 
 from keycld import KeycldError
+from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 from keycld.models import config_for, models
 from keycld.models.registry import register_model
 
@@ -83,3 +84,11 @@ def test_configs_import_without_jax():
     )
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert answer.returncode == 0, answer.stderr
+
+
+def test_constraints_that_no_text_can_hold_stay_in_python():
+    chain = Constraints(("elbow", "tip"), (DistanceToPoint("elbow"), FixedDistance("elbow", "tip")))
+    joined = Constraints(("elbow", "tip"), (chain,))
+    assert isinstance(config_for("keycld", "fast", constraints=joined).completed().constraints, str)
+    for kept in (chain.distances(), Constraints(("elbow", "tip"), (chain, lambda x, _: x[:1]))):
+        assert config_for("keycld", "fast", constraints=kept).completed().constraints is kept

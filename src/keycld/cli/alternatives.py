@@ -58,6 +58,11 @@ def compare(clip: Path, run: Path, options: Mapping[str, Any]) -> "tuple[str | N
     return next((each["mechanism"] or str(toml) for each in found if each["chosen"]), None), found
 
 
+def name_of(mechanism: str, run: Path) -> str | None:
+    """Return the name of a mechanism or of its TOML file; None for one without a name, which `compare` has written."""
+    return None if mechanism == str(run / COMPARISON[1]) else Path(mechanism).stem
+
+
 def measure_parts(
     clip: Path, run: Path, options: Mapping[str, Any], mechanism: str, tried: "Tried | None", scale: "Scale | None"
 ) -> "Physics | None":
@@ -89,7 +94,7 @@ def measure_parts(
         print(f"caution      {caution}", flush=True)
     return {
         **measured.physics,
-        "mechanism": Path(mechanism).stem,
+        "mechanism": name_of(mechanism, run),
         "prediction": {"noise": noise},
         "alternatives": [_alternative(each) for each in judged],
         "note": WITHOUT_A_MODEL,

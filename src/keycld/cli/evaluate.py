@@ -84,9 +84,19 @@ def evaluate(
             print(summary(result.scores), flush=True)
     if own and "sweeps" in dataset.splits:
         save_evaluation(folder, "sweeps", evaluate_sweeps(model, dataset))
-    if own and is_clip(dataset.attributes) and isinstance(model, HasLagrangian):
+    # A motion with error bars is one of `keycld watch`, which knows the measured constants.
+    if own and is_clip(dataset.attributes) and isinstance(model, HasLagrangian) and not _has_error_bars(folder):
         save_evaluation(folder, MOTION, evaluate_motion(model, dataset))
     print(as_json(scores) if json else f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
+
+
+def _has_error_bars(folder: Path) -> bool:
+    from keycld.evaluation import MOTION, load_evaluation
+
+    try:
+        return "noise" in load_evaluation(folder, MOTION).scores
+    except KeycldError:
+        return False
 
 
 def _score_symetric(model: "AbstractModel", dataset: "DataSet", folder: Path, as_text: bool) -> None:

@@ -19,7 +19,7 @@ def identify(
     out: Path | None = None,
     json: bool = False,
 ) -> None:
-    """Identify a rig from a log of joint positions and torques: inertia, weight, friction, with error bars.
+    """Identify a rig from a log of joint positions and torques: inertia, weight, springs, friction, with error bars.
 
     Args:
         log: CSV file; its first line names the columns.
@@ -41,7 +41,7 @@ def identify(
     found = identify_log(
         read_log(log, position, input, time),
         load_constraints(mechanism),
-        mechanism,
+        Path(mechanism).stem,
         lengths=lengths or None,
         held=held,
     )

@@ -22,6 +22,7 @@ from keycld.cli.alternatives import (
     alternatives_table,
     compare,
     measure_parts,
+    name_of,
 )
 
 if TYPE_CHECKING:
@@ -307,7 +308,7 @@ def _measure(
         x,
         u,
         data.dt,
-        mechanism=Path(mechanism).stem,
+        mechanism=name_of(mechanism, run),
         scale=scale,
         tried=config.tried,
         pixel=motion.scores["pixel"],

@@ -1,6 +1,7 @@
 """Identification of a rig from a log of joint positions and torques."""
 
 import math
+import re
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -12,7 +13,7 @@ from jaxtyping import Float
 from keycld._errors import KeycldError
 from keycld.data.imports.log import Log
 from keycld.evaluation.physics_file import Constant, Physics, constant
-from keycld.mechanics import Constraints, JointLaw, fit_joint_law, joints_of, predict_joints
+from keycld.mechanics import Constraints, FittedJointLaw, Joint, JointLaw, fit_joint_law, joints_of, predict_joints
 
 
 class IdentifiedLog(NamedTuple):
@@ -77,8 +78,7 @@ def identify_log(
     fitted = round((1 - held) * len(q))
     found = fit_joint_law(joints, long, q[:fitted], torque[:fitted], log.dt)
     with jax.enable_x64(True):
-        law = JointLaw.of(jnp.asarray(found.theta), joints, long)
-        constants = dict(_constants(law, found.covariance, len(found.theta)))
+        constants = dict(_constants(found, joints, long))
     count = max(4, round(given / log.dt))
     measured, prediction, note = q[fitted:], {}, ""
     predicted, sigma = np.zeros((2, 0, len(joints)))
@@ -102,36 +102,45 @@ def identify_log(
     return IdentifiedLog(physics, log.dt * np.arange(fitted, len(q)), measured, predicted, sigma)
 
 
-def _constants(law: JointLaw, covariance: np.ndarray, size: int) -> Iterator[tuple[str, Constant]]:
-    """Return inertia at rest, gravity torque, friction and offset of the joints; all are linear in θ."""
-    d = len(law.joints)
+def _constants(
+    found: FittedJointLaw, joints: tuple[Joint, ...], lengths: tuple[float, ...]
+) -> Iterator[tuple[str, Constant]]:
+    """Return inertia at rest, gravity torque or stiffness, friction and offset of the joints; all are linear in θ."""
+    d = len(joints)
 
     def of(theta: jax.Array) -> dict[str, jax.Array]:
-        other = JointLaw.of(theta, law.joints, law.lengths)
-        inertia = other.inertia(jnp.zeros(d, theta.dtype))
-        found = {f"inertia_{i + 1}_{j + 1}": inertia[i, j] for i in range(d) for j in range(i, d)}
+        law = JointLaw.of(theta, joints, lengths)
+        inertia = law.inertia(jnp.zeros(d, theta.dtype))
+        named = {f"inertia_{i + 1}_{j + 1}": inertia[i, j] for i in range(d) for j in range(i, d)}
         parts = {
-            "gravity_torque": other.gravity_torques(),
-            "viscous_friction": other.viscous,
-            "dry_friction": other.dry,
-            "torque_offset": other.offset,
+            "gravity_torque": law.gravity_torques(),
+            "stiffness": law.stiffness,
+            "viscous_friction": law.viscous,
+            "dry_friction": law.dry,
+            "torque_offset": law.offset,
         }
-        return found | {f"{name}_{k + 1}": part[k] for name, part in parts.items() for k in range(d)}
+        return named | {f"{name}_{k + 1}": part[k] for name, part in parts.items() for k in range(d)}
 
-    slopes = jax.jacfwd(of)(jnp.zeros(size))
-    values = of(_theta(law))
-    units = {"inertia": "kg m²", "viscous": "N m s"}
+    theta = jnp.asarray(found.theta)
+    slopes, values = jax.jacfwd(of)(theta), of(theta)
     own = {f"inertia_{i + 1}_{i + 1}" for i in range(d)}
     for name, slope in slopes.items():
         g = np.asarray(slope)
-        unit = units.get(name.split("_")[0], "N m")
+        unit = _unit(name, [joints[int(k) - 1].slide for k in re.findall(r"\d+", name)])
         short = name.replace("_1_1", "").removesuffix("_1") if d == 1 else name
-        sigma = float(np.sqrt(g @ covariance @ g))
+        sigma = float(np.sqrt(g @ found.covariance @ g))
         if sigma > 0 or float(values[name]) != 0:
             # All but the inertia of a single joint may be zero.
             yield short, constant(float(values[name]), sigma, unit, positive=name in own)
 
 
-def _theta(law: JointLaw) -> jax.Array:
-    lower = law.mass[np.tril_indices(len(law.joints))]
-    return jnp.concatenate([lower, law.weight, law.viscous, law.dry, law.offset])
+def _unit(name: str, slides: list[bool]) -> str:
+    """Return the unit of a constant of these joints."""
+    if name.startswith("inertia"):
+        return ("kg m²", "kg m", "kg")[sum(slides)]
+    if name.startswith("stiffness"):
+        return "N/m"
+    force = "N" if slides[0] else "N m"
+    if name.startswith("viscous"):
+        return "N s/m" if slides[0] else "N m s"
+    return force

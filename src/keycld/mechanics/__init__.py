@@ -60,6 +60,7 @@ from keycld.mechanics.integrators import RK4 as RK4
 from keycld.mechanics.integrators import AbstractIntegrator as AbstractIntegrator
 from keycld.mechanics.integrators import Euler as Euler
 from keycld.mechanics.integrators import Leapfrog as Leapfrog
+from keycld.mechanics.joint_balance import FittedJointLaw as FittedJointLaw
 from keycld.mechanics.joint_balance import JointLaw as JointLaw
 from keycld.mechanics.joint_balance import fit_joint_law as fit_joint_law
 from keycld.mechanics.joint_balance import predict_joints as predict_joints
@@ -151,6 +152,7 @@ __all__ = [
     "GeneralizedLagrangian",
     "Hamiltonian",
     "HamiltonianDynamics",
+    "FittedJointLaw",
     "Joint",
     "JointLaw",
     "Leapfrog",

@@ -99,8 +99,8 @@ class Constraints(AbstractConstraint):
 
     Args:
         keypoints: names in the order of x.
-        items: relations on these names, other constraints of the same dimension, or plain functions
-            `function(x, parameters)`.
+        items: relations on these names, constraints on all of them in this order, or plain functions
+            `function(x, parameters)`. Items of other `Constraints` take their place.
         squared: whether `FixedDistance` and `DistanceToPoint` are squares |y|² (by default) or distances |y|.
 
     Raises:
@@ -113,14 +113,31 @@ class Constraints(AbstractConstraint):
 
     def __init__(self, keypoints, items=(), squared=True):
         self.keypoints = _names(keypoints)
-        self.items = tuple(self._item(item) for item in items)
         self.squared = squared
+        self.items = tuple(self._item(single) for item in items for single in self._singles(item))
+
+    def _singles(self, item: Any) -> tuple[Any, ...]:
+        """Return the items of other constraints, or the item itself."""
+        if not isinstance(item, Constraints):
+            return (item,)
+        self._check_known(item.keypoints)
+        if item.squared != self.squared:
+            raise KeycldError("constraints measured by squares and by distances cannot be joined: choose one for all.")
+        if item.keypoints != self.keypoints and not all(isinstance(each, AbstractRelation) for each in item.items):
+            raise KeycldError(
+                f"constraints with a function of the keypoints {', '.join(item.keypoints)} cannot join those of "
+                f"{', '.join(self.keypoints)}: give both the same names in the same order."
+            )
+        return item.items
+
+    def _check_known(self, names: tuple[str, ...]) -> None:
+        for name in names:
+            if name not in self.keypoints:
+                raise unknown("keypoint", name, self.keypoints)
 
     def _item(self, item: Any) -> "AbstractRelation | AbstractConstraint":
         if isinstance(item, AbstractRelation):
-            for name in item.keypoints:
-                if name not in self.keypoints:
-                    raise unknown("keypoint", name, self.keypoints)
+            self._check_known(item.keypoints)
             return item
         if isinstance(item, AbstractConstraint):
             if item.dimension != self.dimension:
@@ -174,8 +191,7 @@ class Constraints(AbstractConstraint):
         squares remain the better choice near such a point. Components along a line, other relations and functions
         stay as they are.
         """
-        items = (item.distances() if isinstance(item, Constraints) else item for item in self.items)
-        return Constraints(self.keypoints, items, squared=False)
+        return Constraints(self.keypoints, self.items, squared=False)
 
     def __call__(self, x: Float[Array, "dim"], parameters: dict[str, Any] | None = None) -> Float[Array, "n"]:
         """Return Φ(x), the items' values one after another."""

@@ -1,4 +1,4 @@
-"""The equation of motion of a chain in its joints, identified from measured torques."""
+"""The equation of motion of a chain in its joints, identified from measured torques and forces."""
 
 from typing import NamedTuple
 
@@ -20,24 +20,27 @@ _WINDOW, _CUBIC = 0.25, 7
 
 
 class JointLaw(eqx.Module):
-    """A chain of links in gravity with friction in its joints, linear in all numbers; SI units, or those of the torque.
+    """A chain of links and slides with friction in its joints, linear in all numbers; SI units, or those of the torque.
 
     With the keypoints x(q) and their velocities v = (∂x/∂q) q̇:
 
-        L = ½ Σᵢⱼ mᵢⱼ vᵢ·vⱼ − Σᵢ wᵢ yᵢ,    d/dt ∂L/∂q̇ − ∂L/∂q + b q̇ + c q̇/√(q̇² + ε²) + o = τ
+        L = ½ Σᵢⱼ mᵢⱼ vᵢ·vⱼ − Σᵢ wᵢ yᵢ − ½ Σⱼ kⱼ qⱼ²,    d/dt ∂L/∂q̇ − ∂L/∂q + b q̇ + c q̇/√(q̇² + ε²) + o = τ
 
     Attributes:
         mass: m [K, K], of which the lower triangle counts.
-        weight: w [K], straight down where all joint coordinates are zero.
+        weight: w [K], straight down where all joint coordinates are zero; 0 for the keypoints of slides, where it is no
+            other than a constant force.
+        stiffness: k [d] of springs on slides; 0 for hinges.
         viscous: b [d].
         dry: c [d].
-        offset: o [d], a constant torque, such as the zero of the sensor.
+        offset: o [d], a constant torque, such as the zero of the sensor; of a slide also where its spring rests.
         joints: of the chain.
         lengths: of the links [d].
     """
 
     mass: Float[Array, "K K"]
     weight: Float[Array, "K"]
+    stiffness: Float[Array, "d"]
     viscous: Float[Array, "d"]
     dry: Float[Array, "d"]
     offset: Float[Array, "d"]
@@ -46,12 +49,14 @@ class JointLaw(eqx.Module):
 
     @classmethod
     def of(cls, theta: Array, joints: tuple[Joint, ...], lengths: tuple[float, ...]) -> "JointLaw":
-        """Return the law with the numbers θ: lower triangle of m, then w, b, c, o."""
+        """Return the law with the numbers θ: lower triangle of m; w, or k on a slide, of each keypoint; b; c; o."""
         d = len(joints)
         rows, columns = np.tril_indices(d)
         mass = jnp.zeros((d, d), theta.dtype).at[rows, columns].set(theta[: rows.size])
-        weight, viscous, dry, offset = theta[rows.size :].reshape(4, d)
-        return cls(mass, weight, viscous, dry, offset, joints, lengths)
+        pull, viscous, dry, offset = theta[rows.size :].reshape(4, d)
+        slides, moved = np.array([joint.slide for joint in joints]), np.array([joint.keypoint for joint in joints])
+        weight = pull * np.logical_not(slides)[np.argsort(moved)]
+        return cls(mass, weight, pull[moved] * slides, viscous, dry, offset, joints, lengths)
 
     def momentum(self, q: Float[Array, "d"], rate: Float[Array, "d"]) -> Float[Array, "d"]:
         """Return ∂L/∂q̇."""
@@ -85,7 +90,8 @@ class JointLaw(eqx.Module):
 
     def _lagrangian(self, q: Array, rate: Array) -> Array:
         x, v = jax.jvp(lambda q: joint_positions(self.joints, q, jnp.asarray(self.lengths, q.dtype)), (q,), (rate,))
-        return 0.5 * quadratic_form(self.mass, v) - jnp.sum(self.weight * x.reshape(-1, 2)[:, 1])
+        springs = 0.5 * jnp.sum(self.stiffness * q**2)
+        return 0.5 * quadratic_form(self.mass, v) - jnp.sum(self.weight * x.reshape(-1, 2)[:, 1]) - springs
 
 
 class FittedJointLaw(NamedTuple):
@@ -126,7 +132,7 @@ def fit_joint_law(
         joints: of the chain.
         lengths: of the links.
         q: joint positions.
-        torque: of each joint, 0 where none acts, held from each sample to the next.
+        torque: of each joint, a force on a slide; 0 where none acts; held from each sample to the next.
         dt: seconds between samples.
 
     Raises:

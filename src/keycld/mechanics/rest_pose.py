@@ -105,7 +105,7 @@ def coulomb_decelerations(
     y = jnp.asarray(pose.basis) @ jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(mass).T, modes, lower=False)
     moved = jnp.sqrt(jnp.sum(y.reshape(-1, 2, y.shape[1]) ** 2, axis=1) + 1e-30)
     # yᵀ M y is 1 before y is scaled by its largest |yᵢ|.
-    return (jnp.abs(friction.strength) @ moved * jnp.max(moved, axis=0))[pose.free :]
+    return (friction.strength @ moved * jnp.max(moved, axis=0))[pose.free :]
 
 
 def _reduced(

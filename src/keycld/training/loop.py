@@ -29,7 +29,7 @@ from keycld.training.checkpoints import (
     save_checkpoint,
 )
 from keycld.training.devices import Devices
-from keycld.training.processes import agreed
+from keycld.training.processes import agreed, agreed_number
 from keycld.training.run_files import Metrics, write_verdict
 from keycld.training.step import Progress, Take, diagnose, initial_progress, make_step, refreshed
 from keycld.training.trackers import Tracker
@@ -65,6 +65,7 @@ class Training:
         profile: trace the second dispatch of each stage; the first one compiles.
         tracker: gets the metrics too.
         renamed: as in `load_arrays`.
+        added: likewise.
         take: takes the steps.
         turn: held while something happens between steps.
         together: how many trainings share the work of this process.
@@ -86,6 +87,7 @@ class Training:
     profile: bool
     tracker: Tracker
     renamed: Mapping[str, str]
+    added: Mapping[str, float]
     take: Take
     turn: contextlib.AbstractContextManager[Any]
     together: int
@@ -172,12 +174,12 @@ class _Trainer:
         self.clock = _Clock(training.together, position["seconds"], position["cpu_seconds"], position["frames"])
         self.failures = position.get("failures", [])
         blank = training.blank(position.get("changes", {}))
-        self.model = load_arrays(checkpoint / WEIGHTS, blank, training.renamed)
+        self.model = load_arrays(checkpoint / WEIGHTS, blank, training.renamed, training.added)
         data = training.source.at(training.before[self.number])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
         started = None if position["done"] else initial_progress(training.stages[self.number], self.model)
-        state = load_arrays(checkpoint / STATE, _state(data, started and started[0]), training.renamed)
+        state = load_arrays(checkpoint / STATE, _state(data, started and started[0]))
         self.data = _with_cached(data, state["cached"])
         if started is None:
             self.number += 1
@@ -197,7 +199,9 @@ class _Trainer:
             self._train(stage)
             with training.turn:
                 failure = None if stage.judge is None else stage.judge(self.model, self.data)
-            if failure:
+            # The first process decides for all: next to a threshold, fits of others may end on its other side.
+            if agreed_number(float(failure is not None)):
+                failure = failure or "the first process has found a failure"
                 # Not saved: a run that resumes here fails in the same way.
                 self._restart(f"{stage.name}: {failure}")
                 continue

@@ -164,6 +164,7 @@ def train(
                     profile=profile,
                     tracker=tracker,
                     renamed=config.RENAMED,
+                    added=config.ADDED,
                     take=take_steps if member is None else member.take,
                     turn=contextlib.nullcontext() if member is None else member.turn,
                     together=together,

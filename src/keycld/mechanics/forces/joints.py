@@ -66,11 +66,6 @@ class JointFriction(AbstractDissipationTerm):
 
 def hinged_links(constraint: AbstractConstraint) -> list[FixedDistance | DistanceToPoint]:
     """Return the links whose hinges have friction of their own: those that hang on no unknown point."""
-    links = [item for item in _items(constraint) if isinstance(item, (FixedDistance, DistanceToPoint))]
+    items = constraint.items if isinstance(constraint, Constraints) else ()
+    links = [item for item in items if isinstance(item, (FixedDistance, DistanceToPoint))]
     return [link for link in links if isinstance(link.origin({}), tuple)]
-
-
-def _items(constraint: AbstractConstraint) -> list:
-    if not isinstance(constraint, Constraints):
-        return []
-    return [found for item in constraint.items for found in (_items(item) if isinstance(item, Constraints) else [item])]

@@ -62,5 +62,4 @@ def _fixed(constraint: AbstractConstraint) -> set[tuple[int, ...]]:
     if not isinstance(constraint, Constraints):
         return set()
     links = [item.keypoints for item in constraint.items if isinstance(item, FixedDistance)]
-    fixed = {tuple(sorted(constraint.keypoints.index(name) for name in link)) for link in links}
-    return fixed.union(*(_fixed(item) for item in constraint.items if isinstance(item, Constraints)))
+    return {tuple(sorted(constraint.keypoints.index(name) for name in link)) for link in links}

@@ -36,8 +36,9 @@ class OnLine(AbstractDisplacement):
 
     def __init__(self, keypoint: str, direction: Any = (1.0, 0.0)):
         self.keypoint = keypoint
-        self.direction = UNKNOWN if direction == UNKNOWN else pair("direction", direction)
-        self.learned = jnp.zeros(()) if direction == UNKNOWN else None
+        unknown = isinstance(direction, str) and direction == UNKNOWN
+        self.direction = UNKNOWN if unknown else pair("direction", direction)
+        self.learned = jnp.zeros(()) if unknown else None
 
     def __check_init__(self):
         """Refuse a line without a direction."""

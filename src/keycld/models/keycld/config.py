@@ -63,7 +63,7 @@ class KeyCLDConfig(ModelConfig):
         return len(self.phi.keypoints)
 
     def completed(self, source: Any = None) -> "ModelConfig":
-        """Return the config with its constraints, as text unless one of them is a Python function.
+        """Return the config with its constraints, as text where they are relations, otherwise in Python.
 
         Args:
             source: the data set or system whose constraints are taken where the config has none.
@@ -71,15 +71,15 @@ class KeyCLDConfig(ModelConfig):
         Raises:
             KeycldError: neither the config nor the source has constraints.
         """
-        from keycld.mechanics import Constraints, FunctionConstraint, dump_constraints
+        from keycld.mechanics import AbstractRelation, Constraints, dump_constraints
 
         found = self.constraints
         if found is None:
             found = _EXAMPLE if source is None else source.constraints
         elif callable(found) and not isinstance(found, Constraints):
             found = Constraints(_keypoints(source), (found,))
-        if isinstance(found, Constraints) and not any(isinstance(item, FunctionConstraint) for item in found.items):
-            found = dump_constraints(found)
+        if isinstance(found, Constraints) and all(isinstance(item, AbstractRelation) for item in found.items):
+            found = dump_constraints(found) if found.squared else found
         completed = dataclasses.replace(self, constraints=found)
         completed.phi  # noqa: B018  raises now if the text is wrong
         return completed

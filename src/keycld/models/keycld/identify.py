@@ -147,14 +147,18 @@ def _with_everything(affine: Fitted, tracks: Tracks, some: slice, kinds: tuple[s
 
     The fit begins from the affine one of all recordings if its error is small, otherwise from nothing; of few
     recordings that it misses from both, because either fit may end anywhere. Where motions have own parameters, it
-    begins from the one potential energy that explains most alone: own parameters follow any law a part of the way, and
-    from there no fit of all terms finds the way back.
+    begins from the one potential energy that explains most alone, or hardly less and is simpler: own parameters follow
+    any law a part of the way, and from there no fit of all terms finds the way back. Some anchors with a place for each
+    recording are nearly springs.
     """
     few = tracks[some]
     if tracks.own is not None:
         energies = [kind for kind in kinds if issubclass(term_kinds()[kind], AbstractPotentialTerm)]
-        alone = cheapest(fit_from_nothing(affine.dynamics, each, few) for each in ((), *((kind,) for kind in energies)))
-        return _fitted_more(alone, kinds, few)
+        simplest = sorted(energies, key=lambda kind: term_kinds()[kind].rank)
+        alone = [fit_from_nothing(affine.dynamics, each, few) for each in ((), *((kind,) for kind in simplest))]
+        best = cheapest(alone)
+        near = next((fit for fit in alone if fit.cost <= (1 + WORTH) * best.cost), best)
+        return _fitted_more(near, kinds, few)
     fits = []
     if affine.rms > good:
         fits.append(fit_from_nothing(affine.dynamics, kinds, few))

@@ -104,12 +104,13 @@ def judge_dynamics(
 ) -> str | None:
     """Return what has failed in the dynamics stage, or None: the law may not explain how the keypoints move.
 
-    The motions of the law that come nearest to the observed keypoints of other recordings than those it was identified
-    on are compared, for each keypoint, with what the keypoints themselves are wrong by (`observation_error`): a right
-    law is as far from them. Keypoints may also have errors that it does not know. So errors pass, too, that are small
-    next to those of constant acceleration, fitted alike, which show how much there is to explain. A twentieth of the
-    recordings may be lost by a fit, for example where bodies nearly collide, and does not count. Errors of more than a
-    fifth of the motion pass only within twice those of keypoints, which are large where these leave their parts.
+    The motions of the law that come nearest to the observed keypoints of some recordings are compared, for each
+    keypoint, with what the keypoints themselves are wrong by (`observation_error`): a right law is as far from them.
+    These are mostly other recordings than those it was identified on where there are 300 or more. Keypoints may also
+    have errors that it does not know. So errors pass, too, that are small next to those of constant acceleration,
+    fitted alike, which show how much there is to explain. A twentieth of the recordings may be lost by a fit, for
+    example where bodies nearly collide, and does not count. Errors of more than a fifth of the motion pass only within
+    twice those of keypoints, which are large where these leave their parts.
 
     A keypoint within a pixel of a point from which the constraints keep it at a distance has found this point in place
     of its part. The law then explains its motion and is wrong, so it fails at once. So does one that moves by less than

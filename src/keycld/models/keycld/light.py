@@ -176,7 +176,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     vision = Stage(
         name="vision",
         steps=first.steps,
-        sampler=RandomFrames(first.batch // 2, 2) if config.looks else RandomFrames(first.batch),
+        sampler=RandomFrames(max(1, first.batch // 2), 2) if config.looks else RandomFrames(first.batch),
         loss=images,
         groups=(
             Group("estimator", part("estimator"), first.rate),

@@ -49,7 +49,7 @@ class VisionStage:
     """
     coverage: float = 10.0
     """Initial weight of the gradient that pulls keypoints to what the rendered frames lack; zero from a quarter of the
-    steps on. `fast` and `control` use it in every second trial, `clip` in all.
+    steps on, and after the trials. `fast` and `control` use it in every second trial, `clip` in all.
     """
     spread: float = 0.1
     """Initial width of the region around a keypoint in that gradient, image-plane units; 0.1 from a fifth of the steps
