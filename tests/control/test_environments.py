@@ -67,8 +67,9 @@ def test_seeds_initial_states_limits_and_actuators(make):
         env.reset(options={"state": [1.0]})
 
 
-def test_unlimited_inputs_are_the_inputs_themselves(make):
-    env = make("Pendulum", limit=None)
+@pytest.mark.parametrize("limit", [None, np.inf])
+def test_unlimited_inputs_are_the_inputs_themselves(make, limit):
+    env = make("Pendulum", limit=limit)
     env.reset(seed=0)
     assert not env.action_space.is_bounded()
     _, _, _, _, info = env.step(np.array([7.5], np.float32))

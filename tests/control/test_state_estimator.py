@@ -71,6 +71,17 @@ def test_dropped_frames_are_predicted(swing):
     assert np.abs(np.asarray(found.x - motion.x))[30:].max() < 0.05
 
 
+@pytest.mark.parametrize("dropped", [1, 2])
+def test_a_velocity_is_divided_by_the_time_since_the_last_observation(swing, dropped):
+    """Frames are dropped between the first two observations."""
+    known, u, motion = swing
+    arrived = jnp.arange(dropped + 2) % (dropped + 1) == 0
+    at = slice(60, 60 + dropped + 2)
+    for estimator in (predictor(known), BackwardDifference(known.law, known.system.dt)):
+        found, _ = estimate(estimator, motion.x[at], arrived, u)
+        np.testing.assert_allclose(found.v[-1], motion.v[61 + dropped], atol=0.1)
+
+
 def test_nothing_is_estimated_before_the_first_observation(swing):
     known, u, motion = swing
     estimator = predictor(known)

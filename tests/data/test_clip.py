@@ -1,10 +1,13 @@
 """One video of one motion becomes a data set."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 
 from keycld import KeycldError
 from keycld.data import changes_of, check, clip_file, import_clip, is_clip, open_data, read, usual_for
+from keycld.data.imports.clip import MOST, _every
 from keycld.data.imports.exposure import made_alike, usual_of
 from keycld.data.imports.overlays import overlays
 from keycld.drawing import save_movie
@@ -174,6 +177,12 @@ def test_an_upright_video_of_a_long_pendulum_is_seen_from_end_to_end(tmp_path):
     assert image[:, 55].max() > 180
     again = read(clip_file(path, tmp_path / "b.h5", data.attributes, 64))
     np.testing.assert_array_equal(again.image[0, : len(image)], image)
+
+
+@pytest.mark.parametrize("rate", [Fraction(30_000, 1001), Fraction(60_000, 1001), Fraction(30)])
+def test_every_frame_is_kept_up_to_the_most(rate):
+    found = [_every(frames * float(1 / rate), rate) for frames in (60, MOST, MOST + 1, 2 * MOST, 2 * MOST + 1)]
+    assert found == [1, 1, 2, 2, 3]
 
 
 def test_long_parts_become_recordings_of_equal_length(tmp_path):

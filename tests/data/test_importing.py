@@ -60,6 +60,15 @@ def test_crop_rate_and_skip(video, tmp_path):
     assert _centre(train.image[0, 0]) == pytest.approx(wanted, abs=1.5)
 
 
+def test_a_crop_may_begin_at_an_odd_pixel(video, tmp_path):
+    """The colours of the video have half the resolution."""
+    even, odd = (
+        read(import_video(video, tmp_path / str(left), size=32, frames=10, crop=(left, 16, 32, 32)) / "train.h5")
+        for left in (32, 33)
+    )
+    assert _centre(even.image[0, 0]) - _centre(odd.image[0, 0]) == pytest.approx(1.0, abs=0.3)
+
+
 def test_several_videos(video, tmp_path):
     out = import_video([video, video], tmp_path / "a", size=16, frames=30)
     assert sum(len(read(out / f"{name}.h5")) for name in ("train", "validation", "test")) == 8

@@ -50,6 +50,11 @@ def test_a_folder_becomes_a_data_set(name, tmp_path):
         import_suite(source, out)
 
 
+def test_the_folder_one_is_in(tmp_path, monkeypatch):
+    monkeypatch.chdir(shutil.copytree(GOLDEN / "matching_pennies", tmp_path / "matching_pennies"))
+    assert open_data(import_suite(".", tmp_path / "out")).system.endswith("matching_pennies")
+
+
 def test_derivatives_are_ours(tmp_path):
     """Those of the download lack the friction."""
     shutil.copytree(GOLDEN / "double_pendulum_colors", tmp_path / "double_pendulum_colors_friction_dt_0_05")

@@ -258,6 +258,9 @@ def test_the_extrapolation_is_scored_as_in_the_second_paper(data, shared):
     assert result.valid[:, :8].all()
     text = summary(scores)
     assert "VPT 0.025" in text and "frames 8 to 19 scored" in text and "tables 5 and 6" in text
+    assert "–" not in text and "not finite" not in text
+    scores["normalised_error"] = {"extrapolation": None}
+    assert summary(scores).splitlines()[2].endswith(f"{'–':>14}{'not finite':>14}")
 
 
 def test_small_blocks_change_no_number(data, shared, known, monkeypatch):

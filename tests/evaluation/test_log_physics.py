@@ -132,6 +132,7 @@ def test_the_rest_of_the_log_is_predicted_from_its_torques(rig):
         (lambda text: "\n".join(text.split("\n")[:300] + text.split("\n")[700:]), "uneven"),
         (lambda text: "\n".join(text.split("\n")[:9]), "are the least"),
         (lambda text: "", "the file is empty"),
+        (lambda text: text.replace("torque", "position", 1), "'position' is named twice"),
     ],
 )
 def test_a_wrong_log_is_one_sentence(rig, tmp_path, change, message):
@@ -139,6 +140,11 @@ def test_a_wrong_log_is_one_sentence(rig, tmp_path, change, message):
     path.write_text(change(rig.read_text()))
     with pytest.raises(KeycldError, match=message):
         read_log(path, ("position",), ("torque",))
+
+
+def test_no_column_is_read_twice(rig):
+    with pytest.raises(KeycldError, match="'position' is named twice"):
+        read_log(rig, ("position", "position"), ("torque",))
 
 
 def test_columns_that_do_not_fit_the_mechanism(rig):

@@ -97,6 +97,11 @@ def test_constants_are_true_within_their_error_bars(measured):
     assert [name for name in truth if constants[name]["sigma"] is None] == ["length_pivot_ball_m"]
 
 
+def test_a_keypoint_may_be_called_m():
+    among = ("length_pivot_m", "length_pivot_m_m")
+    assert [physics._unit(name, among) for name in among] == ["units", "m"]
+
+
 def test_what_one_video_cannot_tell_is_no_number(measured):
     mass = measured.physics["constants"]["mass"]
     assert mass["value"] is None and mass["sigma"] is None and not mass["identifiable"]

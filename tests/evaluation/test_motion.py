@@ -6,7 +6,7 @@ import pytest
 from keycld import KeycldError
 from keycld.data import DataSet, write
 from keycld.evaluation import evaluate_motion, load_evaluation, save_evaluation
-from keycld.evaluation.motion import polynomial, valid_frames
+from keycld.evaluation.motion import _beside, polynomial, valid_frames
 from scenes import disc_pendulum
 from swing import RADIUS, Still, Swing
 
@@ -49,6 +49,14 @@ def test_energy_and_angle_of_the_observed_motion(right):
     turns = 2 * np.pi * np.round((truth[0, 0] - angle[0]) / (2 * np.pi))
     np.testing.assert_allclose(angle + turns, truth[:, 0], atol=0.1)
     assert np.corrcoef(rate, truth[:, 1])[0, 1] > 0.99
+
+
+def test_predicted_angles_begin_beside_the_observed_ones():
+    """On both sides of straight up; the rates stay."""
+    observed = np.array([[[3.1, 0.5]], [[3.2, 0.5]]])
+    predicted = np.array([[[-3.1, 0.6]], [[-3.0, 0.6]]])
+    shifted = _beside(Swing.right(), predicted, observed)
+    np.testing.assert_allclose(shifted, predicted + [2 * np.pi, 0.0])
 
 
 def test_what_is_stored_is_read_back_and_checked(tmp_path, right):

@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from keycld.evaluation.latent_regression import symetric
+from keycld import KeycldError
+from keycld.data import DataSet, Trajectories, write
+from keycld.evaluation.latent_regression import score_symetric, symetric
+from swing import Still
 
 
 @pytest.fixture(scope="module")
@@ -49,3 +52,13 @@ def test_only_informative_pairs_count(truth):
     assert found.passed and found.informative == 2
     assert symetric(truth, latent).informative == 6
     assert symetric(truth, nothing) == (False, 0.0, 1000.0, 0, 1)
+
+
+def test_data_without_true_states_are_refused(tmp_path):
+    image = np.zeros((5, 60, 8, 8, 3), np.uint8)
+    attributes = {"system": "disc", "dt": 0.1, "input_names": ()}
+    recordings = Trajectories(np.arange(60) * 0.1, np.zeros((5, 0), np.float32), image, attributes=attributes)
+    for name in ("train", "validation", "test"):
+        write(tmp_path / f"{name}.h5", recordings)
+    with pytest.raises(KeycldError, match="has no '/state'"):
+        score_symetric(Still(), DataSet(tmp_path, None))

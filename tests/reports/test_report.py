@@ -1,3 +1,4 @@
+import dataclasses
 import html.parser
 import json
 import re
@@ -11,6 +12,7 @@ from keycld import KeycldError
 from keycld.evaluation import Evaluation, Protocol, evaluate, load_evaluation, save_evaluation
 from keycld.reports import write_report
 from keycld.reports.movies import sheet_step
+from keycld.reports.run import read_run
 from swing import Swing
 
 
@@ -137,6 +139,19 @@ def test_a_backward_result_does_not_hide_the_energies(run, data, tmp_path):
     # Rows of equal length are told apart.
     longer = page.read_text().split('id="long"')[1].split("</section>")[0]
     assert longer.count("<b>long@20-backward</b>") == 1
+
+
+def test_a_result_on_other_data_is_not_the_headline(run):
+    """Even if its recordings are the shortest."""
+    found = read_run(run)
+    own = found.evaluations["test@14"]
+    other = Evaluation({**own.scores, "protocol": {**own.scores["protocol"], "name": "test@10"}}, own.arrays)
+    found = dataclasses.replace(found, evaluations={"test@10-mine": other, **found.evaluations})
+    assert found.headline is own
+
+
+def test_energy_may_be_lost_by_friction(page):
+    assert "Without input only friction should change the sum" in page.read_text()
 
 
 def test_errors_far_above_the_threshold_fit_the_figure(run, tmp_path):

@@ -18,11 +18,13 @@ class Belief(eqx.Module):
         state: positions and velocities in image-plane units and units/s, and the constants of the constraints.
         unmodelled: [2K], an observed acceleration that the learned dynamics lack, units/s².
         observations: number of frames observed so far.
+        missed: number of frames that did not arrive since the last observation.
     """
 
     state: State
     unmodelled: Float[Array, "dim"]
     observations: Int[Array, ""]
+    missed: Int[Array, ""] = eqx.field(default_factory=lambda: jnp.zeros((), jnp.int32))
 
 
 class AbstractController(eqx.Module):

@@ -19,7 +19,7 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
     | | |
     |---|---|
     | observation | picture, uint8 `[64, 64, 3]` |
-    | action | float32 `[a]` in ±1, multiplied by `limit`; with `limit=None` the input itself, unbounded |
+    | action | float32 `[a]` in ±1, multiplied by `limit`; without a limit the input itself, unbounded |
     | reward | mean over links of (1 + cos tilt)/2, in [0, 1]: 1 upright, 0 hanging |
     | `info` | `state` `[d]`, true; `landmarks` `[K, 2]`, true keypoints in image-plane units; `tilts`; `input` `[l]` |
     | terminated | never |
@@ -30,7 +30,7 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
 
     Args:
         system: name of a MuJoCo system.
-        limit: the largest |u|, or None. The data of arXiv v1 have 3.
+        limit: the largest |u|; None or infinity for no limit. The data of arXiv v1 have 3.
         actuators: names of the inputs that act, the others stay zero; None for all.
         initial_state: `"rest"`, dm_control's reset of the swing-up task, or `"random"`, any position at rest (slider
             in ±1 m). `reset(options={"state": [...]})` sets the state instead.
@@ -59,7 +59,8 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
         self.metadata = {**self.metadata, "render_fps": round(1 / found.dt)}
         self.render_mode = render_mode
         self._initial_state = initial_state
-        self._scale, self._bound = (1.0, np.inf) if limit is None else (check_limit(limit), 1.0)
+        largest = check_limit(limit)
+        self._scale, self._bound = (largest, 1.0) if np.isfinite(largest) else (1.0, np.inf)
         self._actuators = list(positions_of(found.input_names, None if actuators is None else tuple(actuators)))
         self.action_space = gymnasium.spaces.Box(-self._bound, self._bound, (len(self._actuators),), np.float32)
         self.observation_space = gymnasium.spaces.Box(0, 255, (found.size, found.size, 3), np.uint8)

@@ -55,7 +55,8 @@ class PredictCorrect(AbstractStateEstimator):
     then x is projected onto the constraints, and v and b onto ker DΦ. α and β are Kalata's gains (1984) for the ratio
     Γ = σₐ dt²/σ_y of what the model leaves open in a frame to the error of an observation. The first observations have
     larger gains, those of a least-squares line, so that two of them give position and velocity. A frame that did not
-    arrive is predicted.
+    arrive is predicted. If frames are missing between the first two observations, the second one divides by the whole
+    time between them instead of dt.
 
     b is the acceleration that the learned dynamics lack; it is taken as constant for 1/ρ seconds. A learned gravity
     that is a tenth too weak hardly changes the prediction of the next frame, yet a controller that cancels it comes to
@@ -126,13 +127,16 @@ class PredictCorrect(AbstractStateEstimator):
         share = jnp.where(missing, 0.0, 1 / jnp.minimum(count + 1, _MEMORY))
         constants = old + share * (self._lengths(jnp.where(missing, x0, observed)) - old)
         x = self.law.project_position(x0 + alpha * miss, constants)
-        v = jnp.where(first, 0.0, ahead.v + self.dt * drift + beta * miss / self.dt)
+        # Until the second observation nothing is known of the velocity: its miss is that of all frames since the first.
+        seconds = self.dt * jnp.where(n == 1, belief.missed + 1, 1)
+        v = jnp.where(first, 0.0, ahead.v + self.dt * drift + beta * miss / seconds)
         state = State(Motion(x, self.law.project_velocity(x, v)), {"constants": constants})
         # While the velocity itself is uncertain, a miss tells nothing about forces.
         settled = jnp.where(steady_beta >= 6 / early, 1.0, 0.0)
         unmodelled = drift + settled * self.adaptation * steady_beta * miss / self.dt
         unmodelled = self.law.project_velocity(x, unmodelled)
-        return _choose(first & missing, belief, Belief(state, unmodelled, n + arrived.astype(n.dtype)))
+        missed = jnp.where(missing, belief.missed + 1, 0)
+        return _choose(first & missing, belief, Belief(state, unmodelled, n + arrived.astype(n.dtype), missed))
 
     def _lengths(self, x: Array) -> Array:
         return self.law.constraint(x) if self.constants is None else self.constants
@@ -142,7 +146,7 @@ class BackwardDifference(AbstractStateEstimator):
     """Takes x = y and v = (y − y₋)/dt, projected onto ker DΦ; for comparison.
 
     The velocity is half a frame late and has noise of deviation σ_y √2/dt. A frame that did not arrive leaves position
-    and velocity as they were.
+    and velocity as they were; after m of them the next difference is divided by (m + 1) dt.
 
     Attributes:
         law: learned law of motion, for the constraints.
@@ -158,9 +162,11 @@ class BackwardDifference(AbstractStateEstimator):
         """Return the new position and its difference from the last one."""
         n = belief.observations
         x, v = belief.state.coordinates
-        v = self.law.project_velocity(observed, jnp.where(n == 0, 0.0, (observed - x) / self.dt))
+        seconds = self.dt * (belief.missed + 1)
+        v = self.law.project_velocity(observed, jnp.where(n == 0, 0.0, (observed - x) / seconds))
         state = State(Motion(observed, v), {"constants": self.law.constraint(observed)})
-        return _choose(~arrived, belief, Belief(state, jnp.zeros_like(observed), n + 1))
+        stay = Belief(belief.state, belief.unmodelled, n, belief.missed + 1)
+        return _choose(~arrived, stay, Belief(state, jnp.zeros_like(observed), n + 1))
 
 
 def _choose(old_stays: Array, old: Belief, new: Belief) -> Belief:

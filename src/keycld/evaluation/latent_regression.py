@@ -121,8 +121,8 @@ def score_symetric(model: AbstractModel, data: "DataSet", *, batches: int = 20) 
         batches: how many, as far as there are trajectories.
 
     Raises:
-        KeycldError: there are fewer than five test trajectories, or they are shorter than 60 frames; scikit-learn is
-            not installed.
+        KeycldError: there are fewer than five test trajectories, or they are shorter than 60 frames; they have no
+            true states; scikit-learn is not installed.
     """
     count = min(batches, data.count("test") // _TRAJECTORIES)
     test = data.split("test", rows=slice(0, _TRAJECTORIES * count))
@@ -131,7 +131,12 @@ def score_symetric(model: AbstractModel, data: "DataSet", *, batches: int = 20) 
             f"SyMetric takes {_TRAJECTORIES} test trajectories of {_FRAMES} frames; {data.folder} has "
             f"{data.count('test')}: make more or longer ones."
         )
-    assert test.image is not None and test.state is not None
+    if test.state is None:
+        raise KeycldError(
+            f"SyMetric compares with true states, but test.h5 of {data.folder} has no '/state': add it, or choose data "
+            "that have it."
+        )
+    assert test.image is not None
     anchor = model.anchor(model.context)
     found = []
     for first in range(0, len(test.input), _TRAJECTORIES):

@@ -109,8 +109,11 @@ def evaluate_motion(
         "error": error,
         **{f"error_{name.replace(' ', '_')}": each for name, each in baselines.items()},
     }
-    for name, points in (("observed", observed[0]), ("predicted", predicted[0])):
-        arrays |= {f"{name}_{kind}": value for kind, value in _course(model, points, dt).items()}
+    seen, ahead = _course(model, observed[0], dt), _course(model, predicted[0], dt)
+    if seen and ahead:
+        ahead["course"] = _beside(model, ahead["course"], seen["course"])
+    for name, found in (("observed", seen), ("predicted", ahead)):
+        arrays |= {f"{name}_{kind}": value for kind, value in found.items()}
     return Evaluation(scores, arrays)
 
 
@@ -233,6 +236,13 @@ def _course(model: HasLagrangian, points: Float[np.ndarray, "T K 2"], dt: float)
         "kinetic": np.asarray(kinetic, float),
         "potential": np.asarray(potential, float),
     }
+
+
+def _beside(model: HasLagrangian, course: np.ndarray, observed: np.ndarray) -> Float[np.ndarray, "T n 2"]:
+    """Return a course whose angles are shifted by whole turns, so that they begin nearest to the observed ones."""
+    angles = np.array([item.normal is None for item in _relations(model)], bool)
+    turns = np.where(angles, np.round((observed[0, :, 0] - course[0, :, 0]) / (2 * np.pi)), 0.0)
+    return course + 2 * np.pi * np.stack([turns, np.zeros_like(turns)], -1)
 
 
 @eqx.filter_jit

@@ -1,6 +1,6 @@
 """The physical constants of a trained model, measured on observed keypoint tracks, with error bars."""
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import NamedTuple
 
 import jax
@@ -207,7 +207,7 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
         law, values = found.unknowns.law(jnp.asarray(found.eta))
         pose = rest_pose(law, values, poses)
     derived = derive(found, physical_constants, pose, scale)
-    constants = {name: _constant(name, number) for name, number in derived.items()}
+    constants = {name: _constant(name, number, derived) for name, number in derived.items()}
     if "viscous_rate" not in constants:
         constants["viscous_rate"] = Constant(
             value=0.0, sigma=None, unit="1/s", identifiable=True, note="no viscous friction acts; see rejected"
@@ -221,8 +221,8 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
     return constants
 
 
-def _constant(name: str, number: Derived) -> Constant:
-    unit = _unit(name)
+def _constant(name: str, number: Derived, among: Container[str]) -> Constant:
+    unit = _unit(name, among)
     if not number.determined:
         return unknown_constant(unit, "the recordings do not determine it: other parameters can change with it")
     found = constant(number.value, number.sigma, unit, positive=not name.startswith(_SIGNED))
@@ -232,7 +232,9 @@ def _constant(name: str, number: Derived) -> Constant:
     return found
 
 
-def _unit(name: str) -> str:
-    if name == "metres_per_unit" or (name.endswith("_m") and name.startswith("length_")):
+def _unit(name: str, among: Container[str]) -> str:
+    """Return the unit of one of these constants: metres of `length_a_b_m`, unless `m` is itself the keypoint."""
+    in_metres = name.startswith("length_") and name.endswith("_m") and name.removesuffix("_m") in among
+    if name == "metres_per_unit" or in_metres:
         return "m"
     return next(unit for prefix, unit in _UNITS.items() if name.startswith(prefix))

@@ -85,8 +85,9 @@ def _law(state: Mapping[str, Any]) -> list[str]:
 def _row(name: str, scores: Mapping[str, Any], thresholds: list[str]) -> str:
     vpt = "".join(f"{scores['vpt'][threshold]['mean']:14.3f}" for threshold in thresholds)
     parts = scores.get("normalised_error")
-    errors = [scores["mse"]] if parts is None else [parts.get("train"), parts["extrapolation"]]
-    return f"  {name:24}{vpt}" + "".join(f"{_number(error):>14}" for error in errors)
+    shown, names = (scores, ["mse"]) if parts is None else (parts, ["train", "extrapolation"])
+    errors = [_number(shown[each]) if each in shown else "–" for each in names]
+    return f"  {name:24}{vpt}" + "".join(f"{error:>14}" for error in errors)
 
 
 def _number(value: float | None) -> str:

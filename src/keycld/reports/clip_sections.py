@@ -114,7 +114,7 @@ def alternatives(run: Run) -> str:
             html.text(", ".join(each["keypoints"])),
             html.text(", ".join(f"{name} {residual:.1%}" for name, residual in each["constraints"].items()) or "none"),
             str(each["freedom"]),
-            "–" if each["prediction"] is None else _percent(each["prediction"]),
+            "–" if each["prediction"] is None else html.percent(each["prediction"]),
         )
         for each in compared
     ]
@@ -135,7 +135,7 @@ def prediction(run: Run) -> str:
     scores = run.motion.scores
     followed = {"this model": scores, **scores["baselines"]}
     rows = [
-        (html.text(name), *(_percent(each["error"][key]) for key in ("rms", "largest", "end")), *_valid(each))
+        (html.text(name), *(html.percent(each["error"][key]) for key in ("rms", "largest", "end")), *_valid(each))
         for name, each in followed.items()
     ]
     limits = [f"frames below {float(limit):.0%}" for limit in scores["valid"]]
@@ -148,7 +148,7 @@ def prediction(run: Run) -> str:
     )
     chart = _chart(run, "motion-error", clip_figures.error_figure(run.motion))
     residuals = [
-        (html.text(name), _percent(each["residual"]), _percent(each["largest"]))
+        (html.text(name), html.percent(each["residual"]), html.percent(each["largest"]))
         for name, each in scores["skeleton"].items()
     ]
     skeleton = html.table(["constraint", "residual, rms", "largest"], residuals, "scores")
@@ -189,10 +189,6 @@ def course(run: Run) -> str:
 def _chart(run: Run, name: str, figure: Any) -> str:
     save_figure(run.folder / "media" / f"{name}.png", figure)
     return html.chart(figure, name)
-
-
-def _percent(share: float | None) -> str:
-    return f"{html.number(None if share is None else 100 * share)} %"
 
 
 def _valid(each: Mapping[str, Any]) -> list[str]:

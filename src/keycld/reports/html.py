@@ -154,3 +154,8 @@ def number(value: float | None) -> str:
         return shown
     digits, power = shown.split("e")
     return f"{digits}·10<sup>{str(int(power)).replace('-', '−')}</sup>"
+
+
+def percent(share: float | None) -> str:
+    """Return a share as a percentage with three digits."""
+    return f"{number(None if share is None else 100 * share)} %"

@@ -67,7 +67,7 @@ def _law(state: Mapping[str, Any]) -> list[str]:
     """Return a table of what is known of the learned law, if anything."""
     rows, rates = [], state.get("friction")
     if state.get("acceleration") is not None:
-        rows.append(["error of the acceleration, rms", _percent(state["acceleration"]), ""])
+        rows.append(["error of the acceleration, rms", html.percent(state["acceleration"]), ""])
     if rates:
         shown = [html.number(rates[which]) for which in ("found", "true")]
         rows.append(["rate at which friction takes energy, 1/s", *shown])
@@ -80,10 +80,6 @@ def _with_unit(value: float | None, unit: str) -> str:
 
 def _pixels(distance: float | None, pixel: float) -> str:
     return "–" if distance is None else f"{distance / pixel:.2f}"
-
-
-def _percent(part: float | None) -> str:
-    return html.number(None if part is None else 100 * part) + " %"
 
 
 def potential(run: Run) -> str:
@@ -126,9 +122,9 @@ def conservation(run: Run) -> str:
     drift = result.scores["drift"]
     horizon = result.scores["protocol"]["horizon"]
     note = (
-        "Without input no energy is added or lost, so kinetic plus potential energy should stay constant. Over "
-        f"{horizon} frames the total changes by {_percent(drift['energy']['mean'])} of the largest kinetic "
-        f"energy (worst {_percent(drift['energy']['worst'])})."
+        "Without input only friction should change the sum of kinetic and potential energy. Over "
+        f"{horizon} frames the total changes by {html.percent(drift['energy']['mean'])} of the largest kinetic "
+        f"energy (worst {html.percent(drift['energy']['worst'])})."
     )
     parts = [
         html.figure(

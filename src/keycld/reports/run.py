@@ -50,11 +50,16 @@ class Run:
 
     @property
     def headline(self) -> Evaluation | None:
-        """The evaluation at the top of the page: test recordings at the paper's horizon, if there are any."""
+        """The evaluation at the top of the page: test recordings at the paper's horizon, if there are any.
+
+        Results on another data set, whose names have its name as a suffix, come last.
+        """
         if not self.evaluations:
             return None
-        unseen = [each for each in self.evaluations.values() if each.scores["protocol"]["split"] == "test"]
-        return self.evaluations.get("test@50") or [*unseen, *self.evaluations.values()][0]
+        own = {name: each for name, each in self.evaluations.items() if name == each.scores["protocol"]["name"]}
+        found = own or self.evaluations
+        unseen = [each for each in found.values() if each.scores["protocol"]["split"] == "test"]
+        return found.get("test@50") or [*unseen, *found.values()][0]
 
     @property
     def long(self) -> dict[str, Evaluation]:

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, NamedTuple
 
@@ -126,7 +127,7 @@ def import_clip(
     elif constraints is not None:
         refuse_leaving(videos)
     square = crop or _square_around(videos)
-    every = max(1, math.ceil(max(video.seconds for video in videos) * rate / MOST))
+    every = _every(max(video.seconds for video in videos), rate)
     asked = None if every == 1 else float(rate / every)
     painted = [pixels_of(box, width, height) for video in videos for box in video.overlays]
     filters = [] if plane is None else [plane_filter(plane, plane_ratio, width, height)]
@@ -204,6 +205,11 @@ def before_test(data: "DataSet") -> Trajectories:
     longest = max(math.ceil((len(first) + len(then)) * train.frames / len(first)) for first, then in pairs)
     image = _recordings([np.concatenate(pair) for pair in pairs], longest, last=True)
     return as_trajectories(image, dict(train.attributes))
+
+
+def _every(seconds: float, rate: Fraction) -> int:
+    """Return 1 where all frames are kept, 2 where it is every second one, and so on."""
+    return max(1, math.ceil(Fraction(round(seconds * rate), MOST)))
 
 
 class _Pictures(NamedTuple):

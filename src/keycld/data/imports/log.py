@@ -40,7 +40,8 @@ def read_log(path: str | Path, positions: tuple[str, ...], inputs: tuple[str, ..
         time: that with the time in seconds.
 
     Raises:
-        KeycldError: no such file or column, a value that is no number, too few rows, or uneven times.
+        KeycldError: no such file or column, a column named twice, a value that is no number, too few rows, or uneven
+            times.
     """
     path = Path(path)
     try:
@@ -48,8 +49,13 @@ def read_log(path: str | Path, positions: tuple[str, ...], inputs: tuple[str, ..
     except FileNotFoundError as error:
         raise KeycldError(f"there is no log {path}: check the path.") from error
     names = [name.strip() for name in rows[0]] if rows else []
-    columns = []
-    for name in (time, *positions, *inputs):
+    columns, wanted = [], (time, *positions, *inputs)
+    if twice := next((name for name in wanted if wanted.count(name) > 1 or names.count(name) > 1), None):
+        raise KeycldError(
+            f"the column '{twice}' is named twice, in the first line of {path} or among the columns to read: name each "
+            "column once."
+        )
+    for name in wanted:
         if name not in names:
             if len(names) == 1 and (other := re.search(r"[;\t]", names[0])):
                 raise KeycldError(f"columns of {path} are separated by {other[0]!r}: separate them by commas.")

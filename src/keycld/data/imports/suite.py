@@ -1,6 +1,7 @@
 """Imports the original files of "Which priors matter?"."""
 
 import itertools
+import os
 import re
 import shutil
 import time
@@ -44,7 +45,8 @@ def import_suite(folder: str | Path, out: str | Path | None = None) -> Path:
         KeycldError: an unknown set, missing or damaged files, or a folder in use.
     """
     began = time.monotonic()
-    source = Path(folder)
+    # The name of `.` is that of the folder it stands for; a link keeps its own name.
+    source = Path(os.path.abspath(folder))
     system = _system(source)
     out = Path(out) if out is not None else Path("data") / system.name
     with alone(out):

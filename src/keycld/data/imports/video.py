@@ -326,7 +326,8 @@ def crop_filter(crop: Sequence[int], width: int, height: int) -> str:
         borders = f"left={x}:top={y}:right={wide - width - x}:bottom={high - height - y}"
         # With colours of half the resolution, borders would begin at even numbers only.
         beyond = f"format=yuv444p,pad={wide}:{high}:{x}:{y},fillborders={borders}:mode=smear,"
-    return f"{beyond}crop={side}:{side}:{left + x}:{top + y}"
+    # Otherwise odd sides and places are rounded where colours have half the resolution.
+    return f"{beyond}crop={side}:{side}:{left + x}:{top + y}:exact=1"
 
 
 def check_crop(crop: tuple[int, int, int, int], width: int, height: int, path: Path) -> None:
