@@ -175,6 +175,9 @@ def course(run: Run) -> str:
     """Show coordinates over time, the phase portrait and the energy."""
     if run.motion is None or "observed_course" not in run.motion.arrays:
         return ""
+    # Constraints of a user's own kind have no angle, nor a place along a line, to show.
+    if not run.motion.arrays["observed_course"].shape[1]:
+        return ""
     result = run.motion
     moved = html.figure(_chart(run, "course", clip_figures.course_figure(result)), "Angles from hanging straight down.")
     phase = html.figure(_chart(run, "phase", clip_figures.phase_figure(result)), "Phase portrait.")

@@ -1,5 +1,7 @@
 """The prior of the initial velocity."""
 
+import dataclasses
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -64,6 +66,14 @@ def measured(pendulum, x, prior):
     return measure_velocity_prior(
         Observed(pendulum, FittedInitialState(jnp.ones(1), jnp.array([3e-3])), prior), pictures(x)
     )[0]
+
+
+def test_inputs_that_change_are_taken_up_to_the_last_frame_but_one(pendulum):
+    x = recorded(pendulum, after_rest(pendulum, angles(60), 1))
+    model = Observed(pendulum, FittedInitialState(jnp.ones(1), jnp.array([3e-3])), VelocityPrior.unknown())
+    changing = dataclasses.replace(pictures(x), u=jnp.zeros((*x.shape[:2], 0)))
+    priors = [measure_velocity_prior(model, data)[0].velocity_prior for data in (pictures(x), changing)]
+    assert float(priors[0].elapsed) == float(priors[1].elapsed)
 
 
 def expected(prior, pendulum):

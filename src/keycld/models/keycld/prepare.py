@@ -404,13 +404,14 @@ def _velocity_prior(
     freedom = law.freedom
     initial = jax.vmap(lambda x, u: model.initial_state(dynamics, x[: model.context], dt, u))(keypoints, u)
     x, observed = initial.coordinates
-    first = u if u.ndim == 2 else u[:, 0]
+    # The input of the last frame acts after it.
+    first, acting = (u, u) if u.ndim == 2 else (u[:, 0], u[:, : keypoints.shape[1] - 1])
     acceleration = jax.vmap(lambda x, u: law.acceleration(x, jnp.zeros_like(x), u))(x, first)
 
     def error(v: jax.Array) -> jax.Array:
         """Return the robust error of predictions with these initial velocities; diverged ones count little."""
         states = State(Motion(x, v), initial.parameters)
-        paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, keypoints.shape[1] - 1).x)(states, u)
+        paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, keypoints.shape[1] - 1).x)(states, acting)
         far = jnp.nan_to_num(jnp.sum((paths - keypoints) ** 2, axis=-1), nan=1.0, posinf=1.0)
         return jnp.mean(jnp.sqrt(1 + far / scale**2))
 
