@@ -221,7 +221,10 @@ def refit(
     left = select_terms(fitted, tracks, tried)[0]
     if terms_of(lagrangian(left)).keys() == terms_of(lagrangian(fitted.dynamics)).keys():
         return fitted, tracks
-    return fit_law(left, tracks, fitted), tracks
+    simpler = fit_law(left, tracks, fitted)
+    if not simpler.cost <= (1 + tried.worth) * fitted.cost:
+        simpler = cheapest([simpler, climb(left, tracks)])
+    return simpler, tracks
 
 
 def _spared(fitted: Fitted, tracks: Tracks, worth: float) -> Fitted:

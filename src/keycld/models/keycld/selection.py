@@ -34,6 +34,11 @@ _FURTHER = 0.5
 PLAIN = ("springs", "viscous")
 # Share by which masses may follow when a term is dropped, for that same cost.
 _FOLLOW = 0.2
+# The least stiffness of a mass, as a share of its curvature. Below the softness that counts, it would be none at all.
+_STIFF = 1e-5
+# Directions of θ are idle below this share of the largest change of the accelerations, at so many states. Rounding
+# leaves 5e-8 of idle ones; the weakest others have 2e-4, in the motion of two bodies.
+_IDLE, _STATES = 1e-6, 200
 
 
 @dataclasses.dataclass(frozen=True)
@@ -80,7 +85,8 @@ def select_terms(fitted: Fitted, tracks: Tracks, tried: Tried) -> tuple[Mechanic
     parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
     numbers = _Numbers.of(parameters, kinds)
     unscaled, unravel = ravel_pytree(parameters)
-    cost, scale = _quadratic(fitted, np.asarray(unscaled, float), numbers.mass)
+    slopes = _accelerations_by(fitted, paths, tracks)
+    cost, scale = _quadratic(fitted, np.asarray(unscaled, float), numbers.mass, slopes)
 
     def dynamics(theta: np.ndarray) -> MechanicalDynamics:
         return eqx.combine(unravel(jnp.asarray(theta / scale, jnp.float32)), rest)
@@ -166,17 +172,60 @@ class _Quadratic(NamedTuple):
         return np.linalg.pinv(self.curvature[np.ix_(some, some)], rcond=1e-6, hermitian=True)
 
 
-def _quadratic(fitted: Fitted, theta: np.ndarray, mass: np.ndarray) -> tuple[_Quadratic, np.ndarray]:
+def _quadratic(
+    fitted: Fitted, theta: np.ndarray, mass: np.ndarray, slopes: np.ndarray
+) -> tuple[_Quadratic, np.ndarray]:
     """Return the cost of a fit in parameters of equal curvature, θ times the scale, and the scale `[P]`.
+
+    Directions in which no acceleration changes, such as a common factor of masses and forces, have no curvature. What
+    rounding leaves there is removed: next to errors of a thousandth of the motion it would decide on the terms.
 
     Masses follow by about a fifth only: with no mass at all any force could be missing, and where forces act between
     keypoints alone, such as attraction, this is true of their relative motion for each total mass.
+
+    Args:
+        fitted: the fit.
+        theta: its θ.
+        mass: which numbers are those of masses.
+        slopes: derivatives of accelerations by θ, `[M, P]`.
     """
     curvature = np.asarray(fitted.curvature, float)
-    step = _FOLLOW * np.sqrt(np.mean(theta[mass] ** 2))
-    curvature = curvature + np.diag(np.where(mass, 2 * WORTH * float(fitted.cost) / step**2, 0.0))
     scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
-    return _Quadratic(curvature / scale[:, None] / scale[None, :], theta * scale), scale
+    squares, directions = np.linalg.eigh((slopes / scale).T @ (slopes / scale))
+    idle = directions[:, squares < _IDLE**2 * squares.max()]
+    onto = np.eye(len(theta)) - idle @ idle.T
+    curvature = onto @ (curvature / scale[:, None] / scale) @ onto
+    step = _FOLLOW * np.sqrt(np.mean(theta[mass] ** 2))
+    stiff = np.maximum(2 * WORTH * float(fitted.cost) / (step * scale) ** 2, _STIFF)
+    return _Quadratic(curvature + np.diag(np.where(mass, stiff, 0.0)), theta * scale), scale
+
+
+def _accelerations_by(fitted: Fitted, paths: jax.Array, tracks: Tracks) -> np.ndarray:
+    """Return the derivatives of accelerations along motions by the free numbers of the dynamics, `[M, P]`."""
+    x, v = _moving(paths, tracks.dt)
+    u = tracks.u[:, None] if tracks.u.ndim == 2 else tracks.u[:, 1 : paths.shape[1] - 1]
+    u = jnp.broadcast_to(u, (*x.shape[:2], u.shape[-1]))
+    count = x.shape[0] * x.shape[1]
+    x, v, u = (part.reshape(count, part.shape[-1])[:: -(-count // _STATES)] for part in (x, v, u))
+    slopes = np.asarray(_slopes(fitted.dynamics, x, v, u), float)
+    slopes = slopes.reshape(-1, slopes.shape[-1])
+    return slopes[np.all(np.isfinite(slopes), axis=1)]
+
+
+@eqx.filter_jit
+def _slopes(dynamics: MechanicalDynamics, x: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
+    parameters, rest = eqx.partition(dynamics, free_leaves(dynamics))
+    theta, unravel = ravel_pytree(parameters)
+
+    def acceleration(theta: jax.Array, x: jax.Array, v: jax.Array, u: jax.Array) -> jax.Array:
+        return lagrangian(eqx.combine(unravel(theta), rest)).acceleration(x, v, u)
+
+    return jax.vmap(lambda x, v, u: jax.jacrev(acceleration)(theta, x, v, u))(x, v, u)
+
+
+def _moving(paths: jax.Array, dt: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return positions and velocities `[N, T − 2, 2K]` of motions between their ends."""
+    return paths[:, 1:-1], (paths[:, 2:] - paths[:, :-2]) / (2 * dt)
 
 
 def _with_own_held(fitted: Fitted, tracks: Tracks) -> Fitted:
@@ -198,6 +247,5 @@ def _power(law: ConstrainedLagrangian, kind: str, paths: jax.Array, dt: jax.Arra
     """Return the mean power v·∂R/∂v that a dissipation of this kind takes from motions `[N, T, 2K]`."""
     term = terms_of(law)[kind]
     assert isinstance(term, AbstractDissipationTerm)
-    x = paths[:, 1:-1].reshape(-1, paths.shape[-1])
-    v = ((paths[:, 2:] - paths[:, :-2]) / (2 * dt)).reshape(-1, paths.shape[-1])
+    x, v = (part.reshape(-1, paths.shape[-1]) for part in _moving(paths, dt))
     return jnp.mean(jnp.sum(v * jax.vmap(jax.grad(term, argnums=1))(x, v), axis=1))
