@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 
+from keycld._entry_points import load_entry_points
 from keycld.data import open_data
 from keycld.evaluation import evaluate, protocol_named
 from keycld.models import config_for, models, registry
@@ -166,6 +167,7 @@ def test_the_pages_family_in_a_package_of_its_own(site, own_models, tmp_path, mo
     """Found by its entry point alone; trains, resumes, is scored, and beats the mean image."""
     monkeypatch.syspath_prepend(site)
     registry._load.cache_clear()
+    load_entry_points.cache_clear()
     assert models()["koopman"].family == "keycld_koopman"
     data, run = write_data(tmp_path / "disc"), tmp_path / "run"
     config = config_for("koopman", latent=6, window=4, rate=1e-3, steps=200)

@@ -1,12 +1,22 @@
-"""Extensions in packages of their own, which register themselves when they are imported."""
+"""Extensions, which register themselves when they are imported: modules of a folder, and packages of their own."""
 
+import functools
+import importlib
+import pkgutil
 from importlib import metadata
 
 from keycld._errors import KeycldError
 
 
+def import_modules(package: str) -> None:
+    """Import every module of a package, such as `"keycld.control.laws"`."""
+    for module in pkgutil.iter_modules(importlib.import_module(package).__path__, f"{package}."):
+        importlib.import_module(module.name)
+
+
+@functools.cache
 def load_entry_points(group: str, what: str) -> None:
-    """Import what installed packages announce as entry points of a group.
+    """Import what installed packages announce as entry points of a group, once.
 
     Args:
         group: such as `"keycld.models"`.

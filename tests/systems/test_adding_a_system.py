@@ -10,9 +10,10 @@ import pytest
 
 import keycld.systems
 from keycld import KeycldError
+from keycld._entry_points import load_entry_points
 from keycld.data import make_data, open_data
 from keycld.systems import AbstractMujocoSystem, Conditions, get, names, register, render
-from keycld.systems.registry import _SYSTEMS, _import_extensions
+from keycld.systems.registry import _SYSTEMS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "systems.md").read_text().split("## Add a system")[1]
 BLOCKS = re.findall(r"```(?:python|xml)\n(.*?)```", PAGE, flags=re.DOTALL)
@@ -73,13 +74,13 @@ def test_an_installed_package_adds_a_system(tmp_path, monkeypatch, forget):
     (installed / "entry_points.txt").write_text("[keycld.systems]\nwell = double_well\n")
     monkeypatch.delitem(sys.modules, "double_well", raising=False)
     monkeypatch.syspath_prepend(tmp_path)
-    _import_extensions.cache_clear()
+    load_entry_points.cache_clear()
     assert "toy/double_well" in names()
     unfinished = BLOCKS[2].partition("    def sweeps")[0]
     for text, reason in (("import nothing_of", "No module named 'nothing_of'"), (unfinished, "the .* lacks sweeps")):
         (tmp_path / "double_well.py").write_text(text)
         monkeypatch.delitem(sys.modules, "double_well", raising=False)
-        _import_extensions.cache_clear()
+        load_entry_points.cache_clear()
         with pytest.raises(keycld.KeycldError, match=rf"'well' of double_well cannot be loaded \({reason}\): fix or"):
             names()
 

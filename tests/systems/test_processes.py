@@ -55,6 +55,15 @@ def test_workers_leave_the_gpu_to_the_caller(monkeypatch):
     assert list(run_in_processes([Task(backend, ())])) == [(0, "cpu")]
 
 
+def test_workers_import_what_their_caller_does(tmp_path, monkeypatch):
+    """A folder `keycld` where the command runs is not the package, unless the caller looks there first."""
+    (tmp_path / "keycld").mkdir()
+    (tmp_path / "keycld" / "__init__.py").write_text("")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [path for path in sys.path if path])
+    assert list(run_in_processes([Task(double, (1,))])) == [(0, 2)]
+
+
 def test_a_system_of_a_script_is_not_blamed_on_the_renderer(monkeypatch):
     script = ModuleType("of_a_script")
     exec("def draw(): pass", script.__dict__)

@@ -2,13 +2,12 @@
 
 import abc
 import dataclasses
-import importlib
-import pkgutil
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from jaxtyping import Array, Float
 
+from keycld._entry_points import import_modules, load_entry_points
 from keycld._errors import KeycldError, unknown
 from keycld.control.base import AbstractController
 from keycld.mechanics import ConstrainedLagrangian
@@ -78,8 +77,8 @@ L = TypeVar("L", bound=type[AbstractControlLaw])
 def register_law(law: L) -> L:
     """Make a control law known by its `name`; a class decorator.
 
-    A file in `keycld/control/laws/` with one decorated class is all that a new law needs. The decorator also works in
-    a module of your own.
+    A file in `keycld/control/laws/`, or in a package with an entry point of the group `keycld.laws`, with one decorated
+    class is all that a new law needs.
     """
     _LAWS[law.name] = law
     return law
@@ -87,9 +86,8 @@ def register_law(law: L) -> L:
 
 def control_laws() -> dict[str, type[AbstractControlLaw]]:
     """Return all registered control laws by name."""
-    package = importlib.import_module("keycld.control.laws")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
+    import_modules("keycld.control.laws")
+    load_entry_points("keycld.laws", "control law")
     return dict(_LAWS)
 
 

@@ -1,8 +1,6 @@
 """What a term of the energies is, sums of terms, and their registry: one file a term in `forces/`."""
 
 import abc
-import importlib
-import pkgutil
 from collections.abc import Mapping, Sequence
 from typing import ClassVar, TypeVar
 
@@ -10,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from keycld._entry_points import import_modules, load_entry_points
 from keycld._errors import unknown
 from keycld.mechanics.constraints import AbstractConstraint
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
@@ -18,9 +17,10 @@ from keycld.mechanics.lagrangian import ConstrainedLagrangian
 class AbstractTerm(eqx.Module):
     """A term of the potential energy V(x) or of the dissipation function R(x, v), with parameters that are fitted.
 
-    A subclass in a file of `keycld/mechanics/forces/`, or in your own code, with the decorator `register_term`, is all
-    that a new kind of force needs: training tries it where the motion asks for it. Terms should be linear in most of
-    their parameters, so that least squares finds these from anywhere.
+    A subclass in a file of `keycld/mechanics/forces/`, or in a package with an entry point of the group
+    `keycld.forces`, with the decorator `register_term`, is all that a new kind of force needs: training tries it where
+    the motion asks for it. Terms should be linear in most of their parameters, so that least squares finds these from
+    anywhere.
 
     Attributes:
         kind: its name in settings and reports.
@@ -149,9 +149,8 @@ def register_term(term: type[T]) -> type[T]:
 
 def term_kinds() -> dict[str, type[AbstractTerm]]:
     """Return all known classes of terms by their kind."""
-    package = importlib.import_module("keycld.mechanics.forces")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
+    import_modules("keycld.mechanics.forces")
+    load_entry_points("keycld.forces", "force")
     return dict(_KINDS)
 
 

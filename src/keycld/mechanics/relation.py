@@ -1,8 +1,6 @@
 """What a relation between named keypoints is, and the registry of its kinds: one file a kind in `relations/`."""
 
 import abc
-import importlib
-import pkgutil
 from collections.abc import Sequence
 from numbers import Real
 from typing import Any, ClassVar, TypeVar
@@ -12,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from keycld._entry_points import import_modules, load_entry_points
 from keycld._errors import KeycldError, unknown
 
 UNKNOWN = "unknown"
@@ -154,9 +153,8 @@ def register_relation(relation: type[R]) -> type[R]:
 
 def relation_kinds() -> dict[str, type[AbstractRelation]]:
     """Return all known classes of relations by their kind."""
-    package = importlib.import_module("keycld.mechanics.relations")
-    for module in pkgutil.iter_modules(package.__path__):
-        importlib.import_module(f"{package.__name__}.{module.name}")
+    import_modules("keycld.mechanics.relations")
+    load_entry_points("keycld.relations", "kind of constraint")
     return dict(_KINDS)
 
 

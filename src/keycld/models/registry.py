@@ -7,7 +7,7 @@ import pkgutil
 from collections.abc import Callable, Mapping
 from typing import Any, TypeVar
 
-from keycld._entry_points import load_entry_points
+from keycld._entry_points import import_modules, load_entry_points
 from keycld._errors import KeycldError, unknown
 from keycld.models.config import ModelConfig
 
@@ -70,8 +70,7 @@ def register_preset(preset: str, *models: str) -> Callable[[type[C]], type[C]]:
 
 def find_presets(package: str) -> None:
     """Import every module of a package, such as a family's `recipes`, so that each registers its presets."""
-    for module in pkgutil.iter_modules(importlib.import_module(package).__path__):
-        importlib.import_module(f"{package}.{module.name}")
+    import_modules(package)
 
 
 @functools.cache

@@ -39,14 +39,16 @@ class _Worker:
     def __init__(self):
         environment = {
             **os.environ,
-            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            # An empty entry is the folder in which this process began.
+            "PYTHONPATH": os.pathsep.join(path or os.getcwd() for path in sys.path),
             # The workers fill the cores: threads inside each software renderer would only get in their way.
             "LP_NUM_THREADS": os.environ.get("LP_NUM_THREADS", "0"),
             # What they compute is small and sequential, and a GPU may have neither memory nor contexts left for them.
             "JAX_PLATFORMS": "cpu",
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "keycld.systems.worker", str(os.getpid())],
+            # Without -P a package in the working folder would come before the installed ones.
+            [sys.executable, "-P", "-m", "keycld.systems.worker", str(os.getpid())],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             env=environment,

@@ -1,11 +1,10 @@
 """Finds systems by name: each module in a folder of this package, or of another package's entry points, adds some."""
 
-import functools
 import importlib
 import pkgutil
 from typing import TypeVar
 
-from keycld._entry_points import load_entry_points
+from keycld._entry_points import import_modules, load_entry_points
 from keycld._errors import KeycldError, unknown
 from keycld.systems.base import AbstractSystem
 
@@ -38,14 +37,7 @@ def _import_systems() -> None:
     package = importlib.import_module("keycld.systems")
     for kind in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
         if kind.ispkg:
-            folder = importlib.import_module(kind.name)
-            for module in pkgutil.iter_modules(folder.__path__, f"{kind.name}."):
-                importlib.import_module(module.name)
-    _import_extensions()
-
-
-@functools.cache
-def _import_extensions() -> None:
+            import_modules(kind.name)
     load_entry_points(ENTRY_POINTS, "system")
 
 
