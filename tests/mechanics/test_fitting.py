@@ -1,3 +1,4 @@
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -14,6 +15,8 @@ from keycld.mechanics import (
     SumPotential,
     fit_motions,
 )
+from keycld.mechanics.motion_cost import motion_cost
+from keycld.mechanics.networks import AffineMLPInputMatrix
 
 DT, FRAMES = 0.05, 30
 
@@ -72,3 +75,23 @@ def test_with_nothing_free_only_initial_states_are_fitted(pendulums):
     fitted = jax.jit(lambda x: fit_motions(truth, free, x, jnp.zeros((12, 0)), DT))(seen)
     np.testing.assert_array_equal(fitted.dynamics.law.potential.weight, truth.law.potential.weight)
     assert float(jnp.sqrt(jnp.mean((fitted.paths - paths) ** 2))) < 0.004
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_slopes_of_the_cost_are_its_derivatives_for_inputs_of_any_kind(held):
+    """A frame of (ω dt)² = 0.03 ends with the input that it began with, not with that of the next frame."""
+    pushed = eqx.tree_at(
+        lambda d: d.law.input_matrix,
+        swinging(9.81),
+        AffineMLPInputMatrix(2, 1, 0, key=jax.random.key(0)),
+        is_leaf=lambda part: part is None,
+    )
+    pushed = eqx.tree_at(lambda d: d.law.input_matrix.bias, pushed, jnp.array([2.0, 0.5]))
+    free = free_leaves(pushed, lambda name: "input_matrix.bias" in name)
+    u = 3 * jax.random.normal(jax.random.key(1), (1,) if held else (FRAMES, 1))
+    x = jnp.tile(on_circle([0.5]), (FRAMES, 1)) + 0.3 * jnp.sin(jnp.arange(FRAMES))[:, None]
+    cost, theta = motion_cost(pushed, free, x[None], DT, None, 0.05, shared=False)
+    z, constants = jnp.concatenate([on_circle([0.5]), jnp.zeros(2)]), jnp.ones(1)
+    _, slope, _, _ = jax.jit(cost.quadratic)(z, theta, x, constants, u)
+    exact = jax.grad(lambda theta: cost(cost.path(z, theta, constants, u).x - x))(theta)
+    np.testing.assert_allclose(slope[4:], exact, atol=0.01 * float(jnp.linalg.norm(exact)))

@@ -161,10 +161,12 @@ class MotionCost:
         slope = jax.jacfwd(project)(jnp.concatenate([z[:moving], rest]))
         first = jnp.pad(slope[:, :moving], ((0, 0), (0, size - moving + theta.size)))
         first = placed(slope[:, moving:], first)
-        slopes = jnp.zeros((length, dim, 0))
+        here = then = jnp.zeros((length - 1, dim, 0))
         if theta.size:
-            slopes = jax.vmap(lambda state, u: jax.jacrev(accelerate)(theta, state, u))(states, inputs)
-        here, then = slopes[:-1], slopes[1:]
+            by_theta = jax.vmap(lambda state, u: jax.jacrev(accelerate)(theta, state, u))
+            slopes = by_theta(states, inputs)
+            # A frame ends with the input that it began with.
+            here, then = slopes[:-1], slopes[1:] if u.ndim == 1 else by_theta(states[1:], inputs[:-1])
         pushes = jnp.concatenate([self.dt**2 / 6 * (2 * here + then), self.dt / 2 * (here + then)], axis=1)
         pushes = placed(stepped, jnp.concatenate([jnp.zeros((length - 1, moving, size)), pushes], axis=2))
 
