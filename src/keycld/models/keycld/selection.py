@@ -190,14 +190,21 @@ def _quadratic(
         slopes: derivatives of accelerations by θ, `[M, P]`.
     """
     curvature = np.asarray(fitted.curvature, float)
-    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
+    scale = _scale(curvature)
     squares, directions = np.linalg.eigh((slopes / scale).T @ (slopes / scale))
     idle = directions[:, squares < _IDLE**2 * squares.max()]
     onto = np.eye(len(theta)) - idle @ idle.T
-    curvature = onto @ (curvature / scale[:, None] / scale) @ onto
+    cleaned = scale[:, None] * (onto @ (curvature / scale[:, None] / scale) @ onto) * scale
     step = _FOLLOW * np.sqrt(np.mean(theta[mass] ** 2))
-    stiff = np.maximum(2 * WORTH * float(fitted.cost) / (step * scale) ** 2, _STIFF)
-    return _Quadratic(curvature + np.diag(np.where(mass, stiff, 0.0)), theta * scale), scale
+    stiff = np.maximum(2 * WORTH * float(fitted.cost) / step**2, _STIFF * np.diag(curvature))
+    held = cleaned + np.diag(np.where(mass, stiff, 0.0))
+    scale = _scale(held)
+    return _Quadratic(held / scale[:, None] / scale, theta * scale), scale
+
+
+def _scale(curvature: np.ndarray) -> np.ndarray:
+    """Return the factors of θ with which all parameters have a curvature of one."""
+    return np.sqrt(np.maximum(np.diag(curvature), 1e-12 * np.diag(curvature).max()))
 
 
 def _accelerations_by(fitted: Fitted, paths: jax.Array, tracks: Tracks) -> np.ndarray:
