@@ -148,7 +148,8 @@ def test_the_slopes_of_a_path_by_own_parameters_are_exact(oscillations):
         return jnp.concatenate([(path - seen).reshape(-1), jnp.sqrt(jnp.diagonal(precision)) * (z[4:] - expected)])
 
     jacobian, error = jax.jacfwd(weighted)(z), weighted(z)
-    matrix, slope, value, _ = cost.quadratic(z, theta, seen, NONE, NONE, expected)
+    rows, left, value, _ = cost.squares(z, theta, seen, NONE, NONE, expected)
+    matrix, slope = rows.T @ rows, rows.T @ left
     scale = float(jnp.abs(matrix).max())
     np.testing.assert_allclose(matrix, jacobian.T @ jacobian, atol=2e-3 * scale)
     np.testing.assert_allclose(slope, jacobian.T @ error, atol=2e-3 * float(jnp.abs(slope).max()))

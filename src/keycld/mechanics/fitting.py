@@ -82,7 +82,7 @@ def fit_motions(
 
     Where motions have own parameters ζᵢ, these are further numbers of zᵢ, with a normal prior.
 
-    Derivatives are those of `MotionCost.quadratic`. Where numbers of the constraints are free, such as an unknown
+    Derivatives are those of `MotionCost.squares`. Where numbers of the constraints are free, such as an unknown
     pivot, Φ depends on θ: its constants are the means over the observations for each θ.
 
     Args:
@@ -199,18 +199,18 @@ def _improved(
     def each(function: Callable[..., Any], *arrays: Array) -> Any:
         return jax.lax.map(lambda args: function(*args), arrays, batch_size=chunk)
 
-    matrix, slope, old, paths = each(lambda z, *motion: cost.quadratic(z, theta, *motion), now.z, *motions)
-    inner = _damped(matrix[:, :size, :size], jnp.minimum(now.dampings, now.damping))
-    mixed = matrix[:, :size, size:]
-    by_theta = jnp.linalg.solve(inner, mixed)
-    alone = jnp.linalg.solve(inner, slope[:, :size, None])[..., 0]
-    schur = matrix[:, size:, size:] - jnp.einsum("nzt,nzs->nts", mixed, by_theta, precision="highest")
-    pull = slope[:, size:] - jnp.einsum("nzt,nz->nt", mixed, alone, precision="highest")
-    curvature, moves = jnp.sum(schur, axis=0), jnp.where(searching, 0.0, chosen)
+    def eliminate(z: Array, damping: Array, *motion: Array) -> tuple[_Eliminated, Array, Array]:
+        rows, left, value, path = cost.squares(z, theta, *motion)
+        return _eliminated(rows, left, size, damping), value, path
+
+    dampings = jnp.minimum(now.dampings, now.damping)
+    motion, old, paths = each(eliminate, now.z, dampings, *motions)
+    squares, moves = jnp.sum(motion.squares, axis=0), jnp.where(searching, 0.0, chosen)
+    curvature = squares[1:, 1:]
     damped = _damped(moves[:, None] * curvature * moves[None, :], now.damping)
-    change = jnp.linalg.solve(damped, moves * jnp.sum(pull, axis=0))
+    change = jnp.linalg.solve(damped, moves * squares[1:, 0])
     new_theta = theta - change
-    new_z = now.z - alone + jnp.einsum("nzt,t->nz", by_theta, change, precision="highest")
+    new_z = now.z - jnp.einsum("nzt,t->nz", motion.steps, jnp.append(1.0, -change), precision="highest")
 
     def price(both: Array, x: Array, held: Array, push: Array, *expected: Array) -> tuple[Array, Array]:
         paths = jax.vmap(lambda z: cost.path(z, new_theta, cost.constants(z, new_theta, x, held), push).x)(both)
@@ -223,6 +223,7 @@ def _improved(
     moved = prices[:, 1] < prices[:, 0]
     total, reached = jnp.sum(old), jnp.sum(jnp.min(prices, axis=1))
     better = reached < total
+    slope = motion.slope
     expected = 0.5 * (jnp.sum(slope[:, :size] * (now.z - new_z)) + jnp.sum(slope[:, size:] @ change))
     chosen_paths = jnp.where(moved[:, None, None], new_paths[:, 1], new_paths[:, 0])
     least = jnp.minimum(reached, total)
@@ -239,6 +240,35 @@ def _improved(
         stalls=jnp.where(going, 0, now.stalls + 1),
         taken=now.taken + 1,
     )
+
+
+class _Eliminated(NamedTuple):
+    """What ½ |A δ + b|² says of θ, without the initial state z of its motion. Column 0 stands for b, the others for θ.
+
+    Attributes:
+        steps: what must be taken from z, `[S, 1 + P]`: as it is, and for a change of each θ.
+        squares: the squares of what is left, `[1 + P, 1 + P]`: value, slope and curvature.
+        slope: Aᵀ b, `[Q]` with Q = S + P.
+    """
+
+    steps: Float[Array, "S columns"]
+    squares: Float[Array, "columns columns"]
+    slope: Float[Array, "Q"]
+
+
+def _eliminated(rows: Float[Array, "R Q"], left: Float[Array, "R"], size: int, damping: Scalar) -> _Eliminated:
+    """Eliminate the first `size` unknowns of ½ |A δ + b|², with damped steps."""
+
+    def times(a: Array, b: Array) -> Array:
+        return jnp.matmul(a, b, precision="highest")
+
+    by_z, others = rows[:, :size], jnp.concatenate([left[:, None], rows[:, size:]], axis=1)
+    inner = times(by_z.T, by_z)
+    damped = _damped(inner, damping)
+    steps = jnp.linalg.solve(damped, times(by_z.T, others))
+    # Sums of squares: a difference of two such sums would be rounding where the motion is chaotic.
+    rest, held = others - times(by_z, steps), jnp.sqrt(jnp.diagonal(damped - inner))[:, None] * steps
+    return _Eliminated(steps, times(rest.T, rest) + times(held.T, held), times(rows.T, left))
 
 
 def rough_states(observed: Float[Array, "N T dim"], dt: Scalar) -> Motion:

@@ -99,10 +99,13 @@ class MotionCost:
         total = jnp.sum(squares / (1 + jnp.sqrt(1 + squares / self.scale**2)))
         return jnp.where(jnp.isfinite(total), total, jnp.inf)
 
-    def quadratic(
+    def squares(
         self, z: Array, theta: Array, x: Array, given: Array, u: Array, expected: Array | None = None
-    ) -> tuple[Float[Array, "S S"], Float[Array, "S"], Float[Array, ""], Float[Array, "T dim"]]:
-        """Compute matrix, slope and value of the quadratic model of the cost in (z, θ), and the path.
+    ) -> tuple[Float[Array, "R S"], Float[Array, "R"], Float[Array, ""], Float[Array, "T dim"]]:
+        """Compute A and b of the model ½ |A δ + b|² of the cost at (z, θ) + δ, its value, and the path.
+
+        Rows, not AᵀA: the motion of a double pendulum depends on z so strongly that what θ changes of it next to z is
+        lost in the rounding of sums of squares.
 
         Derivatives come from the transition matrix A of each frame, ∂(x, v)ₜ₊₁ = Aₜ ∂(x, v)ₜ + Bₜ ∂θ. A is exact. B
         takes the derivative of the acceleration at the two frames as linear between them: an error of (ω dt)², which
@@ -177,17 +180,19 @@ class MotionCost:
         _, later = jax.lax.scan(pass_frame, first, (transitions, pushes))
         slopes = self.counted(jnp.concatenate([first[None, :dim], later])).reshape(length * dim, -1)
         error = self.counted(error)
-        pull = slopes * jax.lax.rsqrt(1 + (error / self.scale) ** 2).reshape(-1, 1)
-        matrix = jnp.matmul(pull.T, slopes, precision="highest")
-        slope, value = jnp.matmul(pull.T, error.reshape(-1), precision="highest"), self(error)
+        weight = (1 + (error / self.scale) ** 2).reshape(-1) ** -0.25
+        rows, left, value = weight[:, None] * slopes, weight * error.reshape(-1), self(error)
         if self.precision is not None:
             assert expected is not None
-            matrix = matrix.at[moving:size, moving:size].add(self.precision)
-            slope = slope.at[moving:size].add(jnp.matmul(self.precision, z[moving:] - expected, precision="highest"))
+            values, vectors = jnp.linalg.eigh(self.precision)
+            root = jnp.sqrt(jnp.maximum(values, 0.0))[:, None] * vectors.T
+            own = jnp.zeros((len(root), rows.shape[1])).at[:, moving:size].set(root)
+            rows = jnp.concatenate([rows, own])
+            left = jnp.concatenate([left, jnp.matmul(root, z[moving:] - expected, precision="highest")])
             value = value + self.unexpected(z, expected)
         # A motion whose derivatives overflow keeps its state, and θ does not hear of it.
-        sound = jnp.all(jnp.isfinite(matrix)) & jnp.all(jnp.isfinite(slope))
-        return jnp.where(sound, matrix, 0.0), jnp.where(sound, slope, 0.0), value, path.x
+        sound = jnp.isfinite(jnp.sum(rows**2)) & jnp.isfinite(jnp.sum(left**2))
+        return jnp.where(sound, rows, 0.0), jnp.where(sound, left, 0.0), value, path.x
 
     def _law(self, theta: Array) -> ConstrainedLagrangian:
         law = self.dynamics(theta).law
