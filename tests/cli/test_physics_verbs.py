@@ -12,6 +12,7 @@ import pytest
 
 import keycld.training
 from keycld.cli.main import main
+from keycld.data import Trajectories, write
 from keycld.mechanics import Constraints, DistanceToPoint
 from keycld.models import Scene, config_for
 
@@ -79,3 +80,13 @@ def test_export_writes_a_mujoco_model_with_the_same_period(run):
 def test_export_needs_data_for_tracks(run, capsys):
     assert main(["export", str(run), "--to", "csv"]) == 2
     assert "nowhere" in capsys.readouterr().err
+
+
+def test_exported_tracks_name_their_split_and_inputs(run, tmp_path):
+    attributes = {"system": "mine", "dt": 0.1, "input_names": ("motor torque",)}
+    (tmp_path / "data").mkdir()
+    image, u = np.zeros((2, 3, 16, 16, 3), np.uint8), np.ones((2, 1), np.float32)
+    write(tmp_path / "data" / "test.h5", Trajectories(0.1 * np.arange(3), u, image, attributes=attributes))
+    assert main(["export", str(run), "--to", "csv", "--split", "test", "--data", str(tmp_path / "data")]) == 0
+    head, *rows = (run / "export-test.csv").read_text().splitlines()
+    assert head == "recording,time,keypoint_1_x,keypoint_1_y,motor_torque" and len(rows) == 6

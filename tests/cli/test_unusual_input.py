@@ -113,7 +113,7 @@ def test_a_table_as_excel_writes_it_is_read(tmp_path):
 def test_an_export_leaves_no_recording_of_an_earlier_one(tmp_path):
     (tmp_path / "recording_of_my_rig.npz").touch()
     for count in (3, 1):
-        tracks = KeypointTracks(("bob",), np.zeros((count, 5, 1, 2)), np.zeros((count, 5, 0)), 0.1)
+        tracks = KeypointTracks(("bob",), np.zeros((count, 5, 1, 2)), np.zeros((count, 5, 0)), 0.1, ())
         paths = write_time_series(tmp_path, tracks)
     assert sorted(tmp_path.glob("*.npz")) == [*paths, tmp_path / "recording_of_my_rig.npz"] and len(paths) == 1
 

@@ -221,6 +221,14 @@ def test_a_crop_without_motion_and_a_folder_in_use_are_refused(tmp_path, monkeyp
         import_clip(path, tmp_path / "b", constraints="pendulum", size=24)
 
 
+def test_a_given_pivot_needs_a_given_crop(tmp_path):
+    path, fixed = video(tmp_path, swing()), tmp_path / "fixed.toml"
+    fixed.write_text('keypoints = ["ball"]\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "ball"\n')
+    with pytest.raises(KeycldError, match=r"fixed.toml gives the pivot of 'ball' .*: add --crop .*\"unknown\""):
+        import_clip(path, tmp_path / "a", constraints=fixed, size=24)
+    import_clip(path, tmp_path / "a", constraints=fixed, size=24, crop=(32, 0, 96, 96))
+
+
 def test_no_videos(tmp_path):
     (tmp_path / "text.mp4").write_text("no video")
     with pytest.raises(KeycldError, match="cannot be read as a video"):

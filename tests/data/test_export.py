@@ -13,7 +13,8 @@ from keycld.data.export.tracks import KeypointTracks, write_csv, write_time_seri
 @pytest.fixture
 def tracks():
     rng = np.random.default_rng(0)
-    return KeypointTracks(("elbow", "tip"), rng.uniform(-1, 1, (3, 20, 2, 2)), rng.uniform(-1, 1, (3, 20, 1)), 1 / 30)
+    x, u = rng.uniform(-1, 1, (3, 20, 2, 2)), rng.uniform(-1, 1, (3, 20, 1))
+    return KeypointTracks(("elbow", "tip"), x, u, 1 / 30, ("torque",))
 
 
 def test_csv_has_a_row_a_frame_and_a_column_a_coordinate(tracks, tmp_path):
@@ -23,7 +24,7 @@ def test_csv_has_a_row_a_frame_and_a_column_a_coordinate(tracks, tmp_path):
     last = rows[-1]
     assert float(last["tip_y"]) == pytest.approx(tracks.x[2, 19, 1, 1])
     assert float(last["time"]) == pytest.approx(19 / 30)
-    assert float(last["input_1"]) == pytest.approx(tracks.u[2, 19, 0])
+    assert float(last["torque"]) == pytest.approx(tracks.u[2, 19, 0])
 
 
 def test_time_series_are_the_sensors_of_the_exported_model(tracks, tmp_path):
@@ -49,6 +50,7 @@ def test_a_lerobot_data_set(tracks, tmp_path):
     write_lerobot(tmp_path, tracks, "a double pendulum swings")
     info = json.loads((tmp_path / "meta" / "info.json").read_text())
     assert info["codebase_version"] == "v3.0" and info["fps"] == 30 and info["total_frames"] == 60
+    assert info["features"]["action"]["names"] == ["torque"]
     table = parquet.read_table(tmp_path / info["data_path"].format(chunk_index=0, file_index=0)).to_pydict()
     assert table.keys() == info["features"].keys()
     assert table["episode_index"][20] == 1 and table["frame_index"][20] == 0

@@ -52,6 +52,8 @@ def test_bad_numbers_and_names():
         splits("keycld-2023")
     with pytest.raises(KeycldError, match="unknown split 'tests': did you mean 'test'"):
         splits("keycld-2022", runs={"tests": 3})
+    with pytest.raises(KeycldError, match="--train is at most 450, not 451: the seeds that follow are those of valid"):
+        splits("keycld-2022", runs={"train": 451})
     with pytest.raises(KeycldError, match="--train is a number of recordings, at least 1, not 0"):
         splits("keycld-2022", runs={"train": 0})
     with pytest.raises(KeycldError, match="test is a number of frames, at least 3, not 2"):

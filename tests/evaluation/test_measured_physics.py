@@ -97,6 +97,12 @@ def test_constants_are_true_within_their_error_bars(measured):
     assert [name for name in truth if constants[name]["sigma"] is None] == ["length_pivot_ball_m"]
 
 
+def test_friction_without_a_rest_pose_is_not_zero(measured, monkeypatch):
+    monkeypatch.setattr(physics, "rest_pose", lambda *_: None)
+    found = physics.constants_of(measured.estimate)["viscous_rate"]
+    assert found["value"] is None and "no stable rest pose" in found["note"]
+
+
 def test_a_keypoint_may_be_called_m():
     among = ("length_pivot_m", "length_pivot_m_m")
     assert [physics._unit(name, among) for name in among] == ["units", "m"]

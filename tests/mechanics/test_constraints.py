@@ -219,6 +219,11 @@ def test_a_kind_of_constraint_is_one_file(tmp_path, monkeypatch):
     path.write_text(HEAD + "[[constraint]]\nkind = 'midpoint_height'\nbetween = ['cart', 'tap']")
     with pytest.raises(KeycldError, match="constraint 1: unknown keypoint 'tap': did you mean 'tip'"):
         load_constraints(path)
+    path.write_text(HEAD + "[[constraint]]\nkind = 'midpoint_height'\nbetween = 3")
+    with pytest.raises(
+        KeycldError, match=r"constraint 1: MidpointHeight.read cannot read .*midpoint_height .*TypeError"
+    ):
+        load_constraints(path)
 
 
 def test_every_file_of_the_folder_is_a_kind():

@@ -30,7 +30,8 @@ def export(
             data set, v3.0 (extra lerobot).
         data: Data set whose recordings are observed; by default the one of the training. mjcf needs none.
         split: Which of its files.
-        out: File (mjcf, csv) or folder; by default RUN/export.xml, .csv, or RUN/export-mujoco-sysid, -lerobot.
+        out: File (mjcf, csv) or folder; by default RUN/export.xml, RUN/export-SPLIT.csv, or
+            RUN/export-mujoco-sysid-SPLIT, RUN/export-lerobot-SPLIT.
         metres: Of one image-plane unit; by default metres_per_unit of RUN/evaluation/physics.json, or 1 without it.
     """
     from keycld.models.base import HasKeypoints, HasLagrangian
@@ -43,7 +44,7 @@ def export(
     size = _metres(folder) if metres is None else metres
     if not 0 < size < float("inf"):
         raise KeycldError(f"--metres of one image-plane unit is above 0, not {size}.")
-    ending = {"mjcf": ".xml", "csv": ".csv"}.get(to, f"-{to}")
+    ending = {"mjcf": ".xml", "csv": f"-{split}.csv"}.get(to, f"-{to}-{split}")
     target = out or folder / f"export{ending}"
     if to in ("mjcf", "mujoco-sysid"):
         if not isinstance(model, HasLagrangian) or model.constants is None:

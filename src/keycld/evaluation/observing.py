@@ -66,7 +66,8 @@ def observed_tracks(model: HasKeypoints, data: "DataSet", split: str) -> Keypoin
     names = tuple(f"keypoint_{k + 1}" for k in range(x.shape[2]))
     if len(data.keypoints) == len(names):
         names = data.keypoints
-    return KeypointTracks(names, x, np.concatenate(inputs), float(data.dt))
+    pushed = tuple(name.replace(" ", "_") for name in data.input_names)
+    return KeypointTracks(names, x, np.concatenate(inputs), float(data.dt), pushed)
 
 
 def probed_system(data: "DataSet", shared: References, split: str) -> AbstractSystem | None:

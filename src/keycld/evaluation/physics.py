@@ -50,6 +50,7 @@ _UNITS = {
     "gravity_m": "m/s²",
     "gravity": "units/s²",
 }
+_NO_REST = "the mechanism has no stable rest pose"
 _NOTES = {
     "mass_ratio": (
         "of point masses that would move alike, if all hang on a pivot; otherwise of the masses that resist at the "
@@ -208,12 +209,14 @@ def constants_of(found: Estimate, scale: Scale | None = None) -> dict[str, Const
         pose = rest_pose(law, values, poses)
     derived = derive(found, physical_constants, pose, scale)
     constants = {name: _constant(name, number, derived) for name, number in derived.items()}
-    if "viscous_rate" not in constants:
+    if not any(getattr(term, "viscous", False) for term in terms_of(law).values()):
         constants["viscous_rate"] = Constant(
             value=0.0, sigma=None, unit="1/s", identifiable=True, note="no viscous friction acts; see rejected"
         )
+    elif pose is None:
+        constants["viscous_rate"] = unknown_constant("1/s", _NO_REST)
     if pose is None:
-        constants["period_1"] = unknown_constant("s", "the mechanism has no stable rest pose")
+        constants["period_1"] = unknown_constant("s", _NO_REST)
     if found.misfit > MISSED:
         note = f"the fitted motions miss {found.misfit:.0%} of the motion, so they are not those of the mechanism"
         constants = {name: unknown_constant(each["unit"], note) for name, each in constants.items()}

@@ -128,7 +128,15 @@ def _relation(entry: dict[str, Any]) -> AbstractRelation:
     for name in relation.required:
         if name not in entry:
             raise KeycldError(f"a {kind} constraint needs the entry '{name}'.")
-    return relation.read(entry)
+    try:
+        return relation.read(entry)
+    except KeycldError:
+        raise
+    except Exception as error:  # a class of someone else's raises anything
+        raise KeycldError(
+            f"{relation.__name__}.read cannot read this {kind} constraint ({type(error).__name__}: {error}): correct "
+            "its entries, or that class."
+        ) from error
 
 
 def _entry(item: Any) -> list[str]:

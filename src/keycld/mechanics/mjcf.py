@@ -58,10 +58,17 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
         metres: of one image-plane unit.
 
     Raises:
-        KeycldError: the mechanism is no open chain, or a force has no counterpart in MuJoCo.
+        KeycldError: the mechanism is no open chain, or a force cannot be exported.
     """
     constraint = law.constraint_function
-    joints = joints_of(constraint)
+    try:
+        joints = joints_of(constraint)
+    except KeycldError as error:
+        reason = str(error).partition(": ")[0].rstrip(".")
+        raise KeycldError(
+            f"only an open chain of links and slides has a MuJoCo model here ({reason}): export the keypoints with "
+            "--to csv."
+        ) from error
     assert isinstance(constraint, Constraints)
     values = np.asarray(constants, float)
     known = iter(lengths_of(constraint, jnp.asarray(constants)).values())
@@ -105,7 +112,7 @@ def _weights(law: ConstrainedLagrangian) -> Float[np.ndarray, "K 2"]:
     known = {"springs", "viscous", "joints", "coulomb"}
     if odd := terms_of(law).keys() - known:
         raise KeycldError(
-            f"the force '{min(odd)}' has no counterpart in MuJoCo, but {', '.join(sorted(known))} have: train with "
+            f"the force '{min(odd)}' cannot be exported to MuJoCo, only {', '.join(sorted(known))} can: train with "
             "some of these, such as --terms springs viscous, or export the keypoints with --to csv."
         )
     if not isinstance(law.potential, SumPotential):
@@ -187,7 +194,9 @@ def _springs(law: ConstrainedLagrangian, parts: list[_Part], unit: float, metres
     if not isinstance(term, Springs):
         return
     if len(parts) > 1 or not parts[0].joint.slide:
-        raise KeycldError("springs can be exported for a single part on a line only.")
+        raise KeycldError(
+            "springs can be exported to MuJoCo for a single part on a line only: export the keypoints with --to csv."
+        )
     part = parts[0]
     stiffness = float(np.asarray(term.stiffness)[0, 0])
     along = float(_weights(law)[0] @ np.array(part.joint.place))
@@ -232,7 +241,9 @@ def _friction(
     dry = terms.get("coulomb")
     if isinstance(dry, CoulombFriction):
         if len(parts) > 1:
-            raise KeycldError("dry friction can be exported for a single part only.")
+            raise KeycldError(
+                "dry friction can be exported to MuJoCo for a single part only: export the keypoints with --to csv."
+            )
         parts[0].loss = float(np.asarray(dry.strength)[0]) / unit * (parts[0].length or 1.0)
     if any(part.damping < 0 or part.loss < 0 for part in parts):
         raise KeycldError(_GIVES)

@@ -40,7 +40,7 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
     names = {"observation.state": [f"{name}_{axis}" for name in tracks.names for axis in "xy"]}
     if tracks.u.shape[2]:
         columns["action"] = tracks.u.reshape(count * length, -1).astype(np.float32)
-        names["action"] = [f"input_{k + 1}" for k in range(tracks.u.shape[2])]
+        names["action"] = list(tracks.inputs)
     frame = np.tile(np.arange(length), count)
     episode = np.repeat(np.arange(count), length)
     columns |= {"timestamp": (frame / round(fps)).astype(np.float32)}

@@ -21,12 +21,14 @@ class KeypointTracks:
         x: positions `[N, T, K, 2]`, image-plane units.
         u: inputs `[N, T, l]`.
         dt: seconds between frames.
+        inputs: names of the inputs.
     """
 
     names: tuple[str, ...]
     x: Float[np.ndarray, "N T K 2"]
     u: Float[np.ndarray, "N T l"]
     dt: float
+    inputs: tuple[str, ...]
 
     @property
     def time(self) -> Float[np.ndarray, "T"]:
@@ -35,11 +37,11 @@ class KeypointTracks:
 
 
 def write_csv(path: Path, tracks: KeypointTracks) -> None:
-    """Write one row a frame: recording, time, NAME_x and NAME_y of each keypoint, input_1 and so on."""
+    """Write one row a frame: recording, time, NAME_x and NAME_y of each keypoint, the inputs."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     keypoints = [f"{name}_{axis}" for name in tracks.names for axis in "xy"]
-    writer.writerow(["recording", "time", *keypoints, *(f"input_{k + 1}" for k in range(tracks.u.shape[2]))])
+    writer.writerow(["recording", "time", *keypoints, *tracks.inputs])
     for n, (x, u) in enumerate(zip(tracks.x, tracks.u, strict=True)):
         for time, row, push in zip(tracks.time, x.reshape(len(x), -1), u, strict=True):
             writer.writerow([n, f"{time:.9g}", *(f"{number:.9g}" for number in (*row, *push))])

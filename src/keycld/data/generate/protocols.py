@@ -1,6 +1,7 @@
 """The runs that a data set holds: the protocols of the papers, and the splits that nothing is tuned on."""
 
 import dataclasses
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -69,7 +70,8 @@ def splits(
         frames: numbers of frames by split.
 
     Raises:
-        KeycldError: an unknown protocol or split, or a number below 1 recording or 3 frames.
+        KeycldError: an unknown protocol or split, a number below 1 recording or 3 frames, or more recordings than there
+            are seeds before those of the next split.
 
     Good values: the defaults; `runs` and `frames` are for tests.
     """
@@ -82,6 +84,12 @@ def splits(
     zoo = protocol == "zoo"
     undriven = Conditions(control="none", initial_state="moving" if zoo else "released", clip=conditions.clip)
     counts = with_numbers(_RUNS, runs, dict.fromkeys(_RUNS, 1), "recordings")
+    for name, following in itertools.pairwise(_FIRST_SEED):
+        most = _FIRST_SEED[following] - _FIRST_SEED[name]
+        if counts[name] > most:
+            raise KeycldError(
+                f"--{name} is at most {most}, not {counts[name]}: the seeds that follow are those of {following}."
+            )
     lengths = _FRAMES | ({"test_long": _ZOO_LONG} if zoo else {})
     lengths = with_numbers(lengths, frames, dict.fromkeys(_FRAMES, 3), "frames")
     return tuple(

@@ -110,11 +110,13 @@ def import_clip(
     Raises:
         KeycldError: no such file, not a video, too short, nothing moves or in too few pixels, parts that leave the
             picture, the camera moves, a cut, a bad crop, plane, size or rate; videos of different sizes or rates; a
-            folder in use.
+            folder in use; constraints that give a pivot, without a crop.
     """
     began, out = time.monotonic(), Path(out)
     sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     text = None if constraints is None else constraints_text(constraints)
+    if constraints is not None and crop is None:
+        _refuse_given_pivots(constraints)
     check_size_and_rate(_SMALLEST if size is None else size, fps)
     check_folder(out)
     check_span(skip or 0.0, until)
@@ -165,6 +167,22 @@ def import_clip(
     train, validation, test = (sum(counts[name]) for name in parts)
     side = found.clips[0].shape[1]
     return ImportedClip(out, square, side, kept, (train, validation, test), tuple(painted), found.exposure)
+
+
+def _refuse_given_pivots(constraints: str | Path) -> None:
+    """Refuse pivots in numbers: nobody knows them in a picture whose crop is yet to be found.
+
+    Raises:
+        KeycldError: names the keypoint.
+    """
+    from keycld.mechanics import DistanceToPoint, load_constraints
+
+    for item in load_constraints(constraints).items:
+        if isinstance(item, DistanceToPoint) and isinstance(item.point, tuple):
+            raise KeycldError(
+                f"{constraints} gives the pivot of '{item.keypoint}' in the cropped picture, but the crop is not "
+                'known yet: add --crop LEFT TOP WIDTH HEIGHT, or write point = "unknown".'
+            )
 
 
 def is_clip(attributes: Mapping[str, Any]) -> bool:
