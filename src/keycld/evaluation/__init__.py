@@ -53,7 +53,9 @@ if TYPE_CHECKING:
     from keycld.evaluation.physics_file import load_physics as load_physics
     from keycld.evaluation.physics_file import pieces_note as pieces_note
     from keycld.evaluation.physics_file import save_physics as save_physics
+    from keycld.evaluation.physics_text import constants_table as constants_table
     from keycld.evaluation.physics_text import physics_table as physics_table
+    from keycld.evaluation.physics_text import value_text as value_text
     from keycld.evaluation.predicting import Predicted as Predicted
     from keycld.evaluation.predicting import predict as predict
     from keycld.evaluation.predicting import predict_batch as predict_batch
@@ -102,6 +104,7 @@ __all__ = [
     "as_json",
     "baseline_predictions",
     "constants_of",
+    "constants_table",
     "constraint_drift",
     "difference",
     "energy_drift",
@@ -144,6 +147,7 @@ __all__ = [
     "fitted_tracks",
     "valid_prediction_time",
     "validation_epsilon",
+    "value_text",
     "with_fan",
     "with_given",
 ]
