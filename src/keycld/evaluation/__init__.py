@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.observing import observed_tracks as observed_tracks
     from keycld.evaluation.outcome import Evaluation as Evaluation
     from keycld.evaluation.outcome import headline_vpt as headline_vpt
+    from keycld.evaluation.outcome import keypoint_names as keypoint_names
     from keycld.evaluation.physics import Measured as Measured
     from keycld.evaluation.physics import constants_of as constants_of
     from keycld.evaluation.physics import measure_physics as measure_physics
@@ -117,6 +118,7 @@ __all__ = [
     "headline_vpt",
     "identify_log",
     "invert_landmarks",
+    "keypoint_names",
     "load_evaluation",
     "load_physics",
     "make_protocol",
