@@ -19,6 +19,7 @@ from keycld.mechanics import (
     mechanisms,
 )
 from keycld.mechanics.relation import relation_kinds
+from keycld.mechanics.state import RESERVED
 
 X = jnp.array([1.0, 2.0, 4.0, 6.0])
 
@@ -125,6 +126,7 @@ def test_distances_are_not_written():
         (lambda: OnLine("cart", (1, float("nan"))), "two finite numbers"),
         (lambda: DistanceToPoint("tip", 3), "two finite numbers"),
         (lambda: DistanceToPoint("tip", ""), "empty"),
+        *((lambda name=name: DistanceToPoint("tip", name), f"cannot be the parameter '{name}'") for name in RESERVED),
         (lambda: Constraints(("a",), (7,)), "'int' is no constraint"),
         (lambda: Constraints(("a",), (Constraints(("a", "b")),)), "unknown keypoint 'b'"),
         (

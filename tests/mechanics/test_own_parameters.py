@@ -30,6 +30,7 @@ from keycld.mechanics import (
 )
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.mechanics.motion_cost import motion_cost
+from keycld.mechanics.state import RESERVED
 
 DT = jnp.float32(0.05)
 NONE = jnp.zeros(0)
@@ -40,6 +41,10 @@ def springs(stiffness=2.0, constraint=None, damping=None):
     constraint = Constraints(("disc",), (OnLine("disc", direction=(0.0, 1.0)),)) if constraint is None else constraint
     potential = SumPotential(jnp.zeros(2), {"springs": Springs(jnp.array([[stiffness]]))})
     return law((1.0,), constraint, potential=potential, damping=damping)
+
+
+def test_a_pivot_cannot_have_the_name_of_an_own_parameter():
+    assert own_parameters(jnp.zeros(5)).keys() < set(RESERVED)
 
 
 def test_the_law_of_a_trajectory_is_the_shifted_one_with_its_own_masses():

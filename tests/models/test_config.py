@@ -92,3 +92,14 @@ def test_constraints_that_no_text_can_hold_stay_in_python():
     assert isinstance(config_for("keycld", "fast", constraints=joined).completed().constraints, str)
     for kept in (chain.distances(), Constraints(("elbow", "tip"), (chain, lambda x, _: x[:1]))):
         assert config_for("keycld", "fast", constraints=kept).completed().constraints is kept
+
+
+@pytest.mark.parametrize("preset", ["fast", "paper"])
+def test_constraints_that_read_parameters_are_refused_before_training(preset):
+    hook = Constraints(("bob",), (DistanceToPoint("bob", "hook"),))
+    with pytest.raises(KeycldError, match="the parameter 'hook'.*give them a point of two numbers"):
+        config_for("keycld", preset, constraints=hook).completed()
+    function = Constraints(("bob",), (lambda x, parameters: x[:1] - parameters["hook"],))
+    with pytest.raises(KeycldError, match="read the parameter 'hook' of the state"):
+        config_for("keycld", preset, constraints=function).completed()
+    assert config_for("keycld-nc", preset, constraints=hook).completed().constraints

@@ -18,7 +18,7 @@ from keycld.models import Scene, config_for
 from keycld.models.keycld import identify
 from keycld.models.keycld.prepare import fit_dynamics, measure_velocity_prior
 from keycld.models.keycld.recipes.fast import FastConfig
-from keycld.training import finished, load_run, loop, train
+from keycld.training import finished, load_run, loop, runs, train
 from keycld.training.checkpoints import (
     STATE,
     WEIGHTS,
@@ -144,6 +144,52 @@ def test_a_run_that_began_again_is_resumed_bit_for_bit(whole, tmp_path, monkeypa
     (run / "checkpoints" / "latest").write_text("again1-00-vision-000004")
     assert_same(expected, train(data, run, CONFIG, log_every=2))
     assert steps(run) == [4, 6]  # as an uninterrupted one: the first two are the trial of the candidates
+
+
+def test_a_run_that_is_killed_after_it_began_again_keeps_no_lines_of_that_attempt(whole, tmp_path, monkeypatch):
+    """It continues from a checkpoint of the attempt before, and may pass there on another device."""
+    _, data, _ = whole
+    stages, save, failing = FastConfig.stages, loop.save_checkpoint, [True]
+
+    def first_stage(*arguments):
+        return (dataclasses.replace(stages(*arguments)[0], judge=lambda *_: "on purpose." if failing else None),)
+
+    def killed(folder, name, *arguments):
+        if name.startswith("again"):
+            raise KeyboardInterrupt
+        return save(folder, name, *arguments)
+
+    monkeypatch.setattr(FastConfig, "stages", first_stage)
+    monkeypatch.setattr(loop, "save_checkpoint", killed)
+    run = tmp_path / "run"
+    with pytest.raises(KeyboardInterrupt):
+        train(data, run, CONFIG, checkpoint_seconds=0.0, log_every=2)
+    assert steps(run) == [4]
+    failing.clear()
+    train(data, run, CONFIG, log_every=2)
+    assert steps(run) == [6]
+
+
+def test_the_steps_of_a_dashboard_never_fall(whole, tmp_path, monkeypatch):
+    """wandb and trackio drop steps that they have passed, here those of the second and third attempt."""
+    _, data, _ = whole
+    logged = []
+
+    class Dashboard:
+        def log(self, step, values):
+            logged.append(step)
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(runs, "make_tracker", lambda *_: Dashboard())
+    stages = FastConfig.stages
+    monkeypatch.setattr(
+        FastConfig, "stages", lambda *a: (dataclasses.replace(stages(*a)[0], judge=lambda *_: "on purpose."),)
+    )
+    with pytest.raises(KeycldError, match="failed 3 times"):
+        train(data, tmp_path / "run", CONFIG, log_every=2)
+    assert logged == [4, 6, 10, 12, 16, 18]
 
 
 def test_what_a_kill_left_of_older_checkpoints_is_deleted(whole):

@@ -30,8 +30,8 @@ def export(
             data set, v3.0 (extra lerobot).
         data: Data set whose recordings are observed; by default the one of the training. mjcf needs none.
         split: Which of its files.
-        out: File (mjcf, csv) or folder; by default RUN/export.xml, RUN/export-SPLIT.csv, or
-            RUN/export-mujoco-sysid-SPLIT, RUN/export-lerobot-SPLIT.
+        out: File (mjcf, csv) or folder; by default RUN/export.xml, .csv, or RUN/export-mujoco-sysid, -lerobot; of
+            another split than train, RUN/export-SPLIT.csv and so on.
         metres: Of one image-plane unit; by default metres_per_unit of RUN/evaluation/physics.json, or 1 without it.
     """
     from keycld.models.base import HasKeypoints, HasLagrangian
@@ -44,8 +44,9 @@ def export(
     size = _metres(folder) if metres is None else metres
     if not 0 < size < float("inf"):
         raise KeycldError(f"--metres of one image-plane unit is above 0, not {size}.")
-    ending = {"mjcf": ".xml", "csv": f"-{split}.csv"}.get(to, f"-{to}-{split}")
-    target = out or folder / f"export{ending}"
+    file = "export" if split == "train" or to == "mjcf" else f"export-{split}"
+    ending = {"mjcf": ".xml", "csv": ".csv"}.get(to, f"-{to}")
+    target = out or folder / f"{file}{ending}"
     if to in ("mjcf", "mujoco-sysid"):
         if not isinstance(model, HasLagrangian) or model.constants is None:
             raise KeycldError(f"the model of {folder} has no law with constant lengths: train with the preset fast.")

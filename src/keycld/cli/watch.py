@@ -325,11 +325,8 @@ def _measure(
 
 def _table(physics: "Physics") -> str:
     """Return the constants, one a line; without any the mechanisms that were compared."""
+    from keycld.evaluation import constants_table
+
     if not physics["constants"]:
         return alternatives_table(physics.get("alternatives", []))
-    lines = []
-    for name, each in physics["constants"].items():
-        value = "not determined" if each["value"] is None else f"{each['value']:.5g}"
-        error = f" ± {each['sigma']:.2g}" if each["sigma"] else ""
-        lines.append(f"{name:24} {value}{error} {each['unit']}")
-    return "\n".join(lines)
+    return constants_table(physics)

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from keycld.evaluation.observing import observed_tracks as observed_tracks
     from keycld.evaluation.outcome import Evaluation as Evaluation
     from keycld.evaluation.outcome import headline_vpt as headline_vpt
+    from keycld.evaluation.outcome import keypoint_names as keypoint_names
     from keycld.evaluation.physics import Measured as Measured
     from keycld.evaluation.physics import constants_of as constants_of
     from keycld.evaluation.physics import measure_physics as measure_physics
@@ -53,7 +54,9 @@ if TYPE_CHECKING:
     from keycld.evaluation.physics_file import load_physics as load_physics
     from keycld.evaluation.physics_file import pieces_note as pieces_note
     from keycld.evaluation.physics_file import save_physics as save_physics
+    from keycld.evaluation.physics_text import constants_table as constants_table
     from keycld.evaluation.physics_text import physics_table as physics_table
+    from keycld.evaluation.physics_text import value_text as value_text
     from keycld.evaluation.predicting import Predicted as Predicted
     from keycld.evaluation.predicting import predict as predict
     from keycld.evaluation.predicting import predict_batch as predict_batch
@@ -102,6 +105,7 @@ __all__ = [
     "as_json",
     "baseline_predictions",
     "constants_of",
+    "constants_table",
     "constraint_drift",
     "difference",
     "energy_drift",
@@ -114,6 +118,7 @@ __all__ = [
     "headline_vpt",
     "identify_log",
     "invert_landmarks",
+    "keypoint_names",
     "load_evaluation",
     "load_physics",
     "make_protocol",
@@ -144,6 +149,7 @@ __all__ = [
     "fitted_tracks",
     "valid_prediction_time",
     "validation_epsilon",
+    "value_text",
     "with_fan",
     "with_given",
 ]

@@ -15,6 +15,16 @@ from keycld.data.imports.log import Log
 from keycld.evaluation.physics_file import Constant, Physics, constant
 from keycld.mechanics import Constraints, FittedJointLaw, Joint, JointLaw, fit_joint_law, joints_of, predict_joints
 
+# Units of the constants of joints, by how many of their joints are slides; an inertia belongs to two.
+_UNITS = {
+    "inertia": ("kg m²", "kg m", "kg"),
+    "gravity_torque": ("N m", "N"),
+    "stiffness": ("N m", "N/m"),
+    "viscous_friction": ("N m s", "N s/m"),
+    "dry_friction": ("N m", "N"),
+    "torque_offset": ("N m", "N"),
+}
+
 
 class IdentifiedLog(NamedTuple):
     """The result of `identify_log`.
@@ -126,21 +136,9 @@ def _constants(
     own = {f"inertia_{i + 1}_{i + 1}" for i in range(d)}
     for name, slope in slopes.items():
         g = np.asarray(slope)
-        unit = _unit(name, [joints[int(k) - 1].slide for k in re.findall(r"\d+", name)])
+        unit = _UNITS[name.rstrip("_0123456789")][sum(joints[int(k) - 1].slide for k in re.findall(r"\d+", name))]
         short = name.replace("_1_1", "").removesuffix("_1") if d == 1 else name
         sigma = float(np.sqrt(g @ found.covariance @ g))
         if sigma > 0 or float(values[name]) != 0:
             # All but the inertia of a single joint may be zero.
             yield short, constant(float(values[name]), sigma, unit, positive=name in own)
-
-
-def _unit(name: str, slides: list[bool]) -> str:
-    """Return the unit of a constant of these joints."""
-    if name.startswith("inertia"):
-        return ("kg m²", "kg m", "kg")[sum(slides)]
-    if name.startswith("stiffness"):
-        return "N/m"
-    force = "N" if slides[0] else "N m"
-    if name.startswith("viscous"):
-        return "N s/m" if slides[0] else "N m s"
-    return force

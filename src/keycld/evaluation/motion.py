@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.data import before_test
 from keycld.evaluation.metrics import valid_prediction_time
-from keycld.evaluation.outcome import Evaluation
+from keycld.evaluation.outcome import Evaluation, keypoint_names
 from keycld.evaluation.predicting import Progress, batch_size, observe, predict, refuse_too_few
 from keycld.mechanics import AbstractDisplacement, Constraints, Motion, State
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian
@@ -163,7 +163,7 @@ def _relations(model: HasLagrangian) -> tuple[AbstractDisplacement, ...]:
 
 def _names(model: HasLagrangian, count: int) -> tuple[str, ...]:
     phi = model.law.constraint_function
-    return phi.keypoints if isinstance(phi, Constraints) else tuple(f"keypoint {k + 1}" for k in range(count))
+    return keypoint_names(phi.keypoints if isinstance(phi, Constraints) else (), count)
 
 
 def _label(item: AbstractDisplacement) -> str:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 from keycld.data.export.tracks import KeypointTracks
 from keycld.evaluation.acceleration import acceleration_error
 from keycld.evaluation.friction import friction_rates
+from keycld.evaluation.outcome import keypoint_names
 from keycld.evaluation.predicting import observe
 from keycld.evaluation.probe import fit_probe, probe_scores
 from keycld.evaluation.reading import blocks, coprime, evenly, visited
@@ -63,9 +64,7 @@ def observed_tracks(model: HasKeypoints, data: "DataSet", split: str) -> Keypoin
         found.append(keypoints.reshape(*image.shape[:2], -1, 2))
         inputs.append(u if u.ndim == 3 else np.repeat(u[:, None], image.shape[1], axis=1))
     x = np.concatenate(found)
-    names = tuple(f"keypoint_{k + 1}" for k in range(x.shape[2]))
-    if len(data.keypoints) == len(names):
-        names = data.keypoints
+    names = keypoint_names(data.keypoints, x.shape[2])
     pushed = tuple(name.replace(" ", "_") for name in data.input_names)
     return KeypointTracks(names, x, np.concatenate(inputs), float(data.dt), pushed)
 

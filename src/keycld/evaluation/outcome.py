@@ -1,6 +1,6 @@
 """What `evaluate` returns: the outcome of one protocol."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,3 +45,8 @@ class Evaluation:
 def headline_vpt(scores: Mapping[str, Any]) -> dict[str, Any]:
     """Return the valid prediction time at the first threshold, of scores or of those of a trivial predictor."""
     return next(iter(scores["vpt"].values()))
+
+
+def keypoint_names(known: Sequence[str], count: int) -> tuple[str, ...]:
+    """Return the known names of so many keypoints; numbers where others are known, or none."""
+    return tuple(known) if len(known) == count else tuple(f"keypoint_{k + 1}" for k in range(count))

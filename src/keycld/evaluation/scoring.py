@@ -13,7 +13,7 @@ from keycld.evaluation.baselines import baseline_predictions
 from keycld.evaluation.drift import constraint_drift, energy_drift
 from keycld.evaluation.image_scores import all_errors, image_scores
 from keycld.evaluation.observing import probed_system, score_states
-from keycld.evaluation.outcome import Evaluation
+from keycld.evaluation.outcome import Evaluation, keypoint_names
 from keycld.evaluation.predicting import Progress, batch_size, free_motion, observe, predict, refuse_too_few
 from keycld.evaluation.protocols import Protocol
 from keycld.evaluation.reading import windows
@@ -96,7 +96,7 @@ def evaluate(
     passed = count * (protocol.given + protocol.horizon)
     if isinstance(model, HasKeypoints):
         keypoints = done.along["keypoints"]
-        scores["keypoints"] = _names(data, keypoints.shape[2])
+        scores["keypoints"] = list(keypoint_names(data.keypoints, keypoints.shape[2]))
         passed += _add_observations(arrays, model)
         if system is not None:
             assert done.states is not None
@@ -209,9 +209,3 @@ def _add_observations(arrays: dict[str, np.ndarray], model: HasKeypoints) -> int
     if heat_maps is not None:
         arrays["heat_maps"] = heat_maps.reshape(*truth.shape[:2], *heat_maps.shape[1:])
     return len(keypoints)
-
-
-def _names(data: "DataSet", count: int) -> list[str]:
-    """Return the names of the model's keypoints; numbers where the data set names others or none."""
-    names = list(data.keypoints)
-    return names if len(names) == count else [f"keypoint {k + 1}" for k in range(count)]

@@ -256,7 +256,7 @@ class _Eliminated(NamedTuple):
     slope: Float[Array, "Q"]
 
 
-def _eliminated(rows: Float[Array, "R Q"], left: Float[Array, "R"], size: int, damping: Scalar) -> _Eliminated:
+def _eliminated(rows: Float[Array, "R Q"], left: Float[Array, "R"], size: int, damping: Array) -> _Eliminated:
     """Eliminate the first `size` unknowns of ½ |A δ + b|², with damped steps."""
 
     def times(a: Array, b: Array) -> Array:

@@ -10,6 +10,10 @@ Scalar = float | int | Float[Array, ""]
 """A number: a Python one, or an array without axes."""
 
 
+RESERVED = ("constants", "place", "masses", "friction", "looks")
+"""Names in the parameters of a state that have a meaning of their own."""
+
+
 class Motion(NamedTuple):
     """Positions and velocities of a mechanical system at one instant.
 

@@ -1,11 +1,10 @@
 """The sections on a clip: the movie, the constants with their error bars, prediction, course and energy."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 from keycld.drawing import save_figure
-from keycld.evaluation import Physics, pieces_note, restless
+from keycld.evaluation import Constant, Physics, pieces_note, restless, value_text
 from keycld.reports import clip_figures, html
 from keycld.reports.run import Run
 
@@ -76,15 +75,9 @@ def constants(run: Run) -> str:
     return html.section("constants", "Constants", first + table + forces + notes)
 
 
-def _constant(name: str, each: Mapping[str, Any], given: float | None) -> tuple[str, ...]:
-    rest = "" if given is None else f"{given:.4g}", html.text(each["unit"])
-    if each["value"] is None:
-        return f"<code>{html.text(name)}</code>", "not determined", *rest
-    value = f"{each['value']:.4g}"
-    if each["sigma"]:
-        digits = max(0, 1 - math.floor(math.log10(each["sigma"])))
-        value = f"{each['value']:.{digits}f} ± {each['sigma']:.{digits}f}"
-    return f"<code>{html.text(name)}</code>", value, *rest
+def _constant(name: str, each: Constant, given: float | None) -> tuple[str, ...]:
+    known = "" if given is None else f"{given:.4g}"
+    return f"<code>{html.text(name)}</code>", value_text(each), known, html.text(each["unit"])
 
 
 def rejected(run: Run) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 
 from keycld.benchmarks import grid_pictures, potential_figures
 from keycld.drawing import save_figure, save_image
+from keycld.evaluation import keypoint_names
 from keycld.reports import figures, html, movies
 from keycld.reports.run import Run
 
@@ -151,7 +152,7 @@ def masses(run: Run) -> str:
         return html.missing("masses", "Learned masses", "the model has none")
     scores = run.headline.scores
     values = scores["masses"]
-    names = scores.get("keypoints") or [f"keypoint {k + 1}" for k in range(len(values))]
+    names = keypoint_names(scores.get("keypoints", ()), len(values))
     total = sum(values)
     rows = [
         (html.text(name), f"{value / values[0]:.3f}", f"{100 * value / total:.1f} %")

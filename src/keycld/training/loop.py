@@ -165,7 +165,7 @@ class _Trainer:
             # A process that was killed may have left some.
             remove_older(checkpoint, training.keep)
         begun = [stage.name for stage in training.stages[: self.number + (step > 0)]]
-        self.metrics = Metrics(training.folder, training.before[self.number] + step, begun)
+        self.metrics = Metrics(training.folder, training.before[self.number] + step, self.clock.frames, begun)
 
     def _resume(self, checkpoint: Path) -> int:
         """Continue from a checkpoint, and return the step of the stage."""
@@ -303,7 +303,7 @@ class _Trainer:
         print(f"restart      {failure}", file=sys.stderr, flush=True)
         self.model = self.training.fresh(self._again)
         self.data, self.number = self.training.source.at(0), 0
-        self.metrics = Metrics(folder, 0, [])
+        self.metrics = Metrics(folder, 0, 0, [])
 
     @property
     def _again(self) -> int:
@@ -342,7 +342,8 @@ class _Trainer:
         step, clock = self.training.before[self.number] + done, self.clock
         cost = {"seconds": round(clock.seconds, 2), "cpu_seconds": round(clock.cpu_seconds, 2), "frames": clock.frames}
         self.metrics.write(step=step, stage=self.training.stages[self.number].name, **cost, **values)
-        self.training.tracker.log(step, values)
+        # A dashboard drops steps that it has passed, so that those of a further attempt come after all others.
+        self.training.tracker.log(len(self.failures) * self.training.before[-1] + step, values)
 
 
 def _compiled(stage: Stage, drawn: int, training: Training) -> Callable[[int], Run]:

@@ -215,19 +215,27 @@ def refuse_failed(folder: Path) -> None:
 class _Line(TypedDict):
     step: int
     stage: Name
+    frames: int
 
 
 class Metrics:
     """The file `metrics.jsonl`: one JSON object on each line; lines after a checkpoint are dropped on resume."""
 
-    def __init__(self, folder: Path, step: int, stages: Sequence[str]):
-        """Open the file and drop the lines after `step` and of other stages, which the resumed run writes again."""
+    def __init__(self, folder: Path, step: int, frames: int, stages: Sequence[str]):
+        """Open the file and drop the lines that the resumed run writes again.
+
+        Args:
+            folder: the run folder.
+            step: lines after this one are dropped.
+            frames: also those after so many frames: of a later attempt, which counts its steps from zero.
+            stages: also those of other stages.
+        """
         self._path = folder / "metrics.jsonl"
         lines = []
         for line in read_text(self._path).splitlines() if self._path.exists() else ():
             try:
                 known = checked(json.loads(line), _Line)
-                if known["step"] <= step and known["stage"] in stages:
+                if known["step"] <= step and known["frames"] <= frames and known["stage"] in stages:
                     lines.append(line)
             except (ValueError, RecursionError):
                 continue  # an incomplete line of a killed process

@@ -13,7 +13,7 @@ class Tracker(Protocol):
     """Receives scalars by name."""
 
     def log(self, step: int, values: dict[str, float]) -> None:
-        """Record values at an optimiser step, counted over all stages."""
+        """Record values at an optimiser step, counted over all stages, and over all attempts; it never falls."""
 
     def close(self) -> None:
         """End the recording."""

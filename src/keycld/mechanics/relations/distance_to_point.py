@@ -9,12 +9,18 @@ from jaxtyping import Array, Float
 from keycld._errors import KeycldError
 from keycld.mechanics.circle import nearest_circle
 from keycld.mechanics.relation import UNKNOWN, AbstractDisplacement, keypoint_entry, pair, register_relation
+from keycld.mechanics.state import RESERVED
 
 
 def _point(value: Any) -> tuple[float, float] | str:
     if isinstance(value, str):
         if not value.strip():
             raise KeycldError("the name of a point's parameter is empty: name it, or give two numbers.")
+        if value in RESERVED:
+            raise KeycldError(
+                f"a point cannot be the parameter '{value}': {', '.join(RESERVED)} have a meaning of their own in a "
+                "state, so choose another name."
+            )
         return value
     return pair("point", value)
 
@@ -34,7 +40,7 @@ class DistanceToPoint(AbstractDisplacement):
             the first fit.
 
     Raises:
-        KeycldError: if the point is neither two finite numbers nor a name.
+        KeycldError: if the point is neither two finite numbers nor a name, or the name has another meaning.
     """
 
     kind = "distance_to_point"
@@ -72,8 +78,9 @@ class DistanceToPoint(AbstractDisplacement):
         if self.point not in parameters:
             there = ", ".join(sorted(parameters)) or "none"
             raise KeycldError(
-                f"'{self.keypoint}' turns around the parameter '{self.point}', which the state does not hold: "
-                f"add it to the state's parameters (there: {there})."
+                f"'{self.keypoint}' turns around the parameter '{self.point}', which the state does not hold (there: "
+                f"{there}): add it in your own roll-outs; models that are trained know none by names of your own, so "
+                f'give them a point of two numbers, or "{UNKNOWN}".'
             )
         return parameters[self.point]
 

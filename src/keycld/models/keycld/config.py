@@ -69,7 +69,7 @@ class KeyCLDConfig(ModelConfig):
             source: the data set or system whose constraints are taken where the config has none.
 
         Raises:
-            KeycldError: neither the config nor the source has constraints.
+            KeycldError: neither the config nor the source has constraints, or they read parameters of a state.
         """
         from keycld.mechanics import AbstractRelation, Constraints, dump_constraints
 
@@ -81,7 +81,9 @@ class KeyCLDConfig(ModelConfig):
         if isinstance(found, Constraints) and all(isinstance(item, AbstractRelation) for item in found.items):
             found = dump_constraints(found) if found.squared else found
         completed = dataclasses.replace(self, constraints=found)
-        completed.phi  # noqa: B018  raises now if the text is wrong
+        phi = completed.phi  # raises now if the text is wrong
+        if self.model in ("keycld", "fc"):
+            _check_parameters(phi)
         return completed
 
     def refusal(self, source: Any) -> str | None:
@@ -92,6 +94,19 @@ class KeyCLDConfig(ModelConfig):
         """Return all fields as JSON values; constraints with a Python function among them become None."""
         text = self.constraints if isinstance(self.constraints, str) else None
         return super(KeyCLDConfig, dataclasses.replace(self, constraints=text)).settings()
+
+
+def _check_parameters(phi: "Constraints") -> None:
+    """Refuse a Φ that reads parameters of the state: in trained models none have names of a user's own."""
+    import jax
+
+    try:
+        jax.eval_shape(phi, jax.ShapeDtypeStruct((phi.dimension,), "float32"))
+    except KeyError as error:
+        raise KeycldError(
+            f"the constraints read the parameter {error} of the state, but models that are trained know none by names "
+            "of your own: write its value into the constraints."
+        ) from error
 
 
 def _keypoints(source: Any) -> tuple[str, ...]:

@@ -269,11 +269,14 @@ def explain(dynamics: MechanicalDynamics, tracks: Tracks) -> tuple[Fitted, Track
     Returns:
         The fit, and what was fitted: the recordings, or pieces of a few (`in_pieces`).
     """
-    still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
-    return in_pieces(lambda pieces: climb(dynamics, pieces, still), tracks)
+    return in_pieces(lambda pieces: climb(dynamics, pieces, _all_fixed(dynamics)), tracks)
 
 
 def ahead(dynamics: MechanicalDynamics, tracks: Tracks, given: int) -> jax.Array:
     """Return the motions `[N, T, 2K]` of given dynamics that fit the first frames of keypoint tracks alone."""
-    still = jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)
-    return fit_law(dynamics, tracks, frames=given, active=still).paths
+    return fit_law(dynamics, tracks, frames=given, active=_all_fixed(dynamics)).paths
+
+
+def _all_fixed(dynamics: MechanicalDynamics) -> MechanicalDynamics:
+    """Return what tells a fit that none of the parameters are free: zeros."""
+    return jax.tree.map(lambda leaf: jnp.zeros_like(leaf) if eqx.is_inexact_array(leaf) else leaf, dynamics)

@@ -63,12 +63,7 @@ def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
     mean, deviation = _mean_and_deviation(data)
     if not deviation > 0:
         raise KeycldError("all training frames are the same, so there is no motion to learn from: check the data.")
-    model = eqx.tree_at(
-        lambda m: (m.estimator.standardise.mean, m.estimator.standardise.deviation, m.renderer.background),
-        model,
-        (mean, deviation, mean),
-    )
-    return model, data
+    return _in_front_of(model, mean, deviation), data
 
 
 def measure_background(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -83,12 +78,16 @@ def measure_background(model: Any, data: Resident) -> tuple[Any, Resident]:
     frames = np.asarray(data.image).reshape(-1, *data.image.shape[2:])
     found = still_background(frames)
     deviation = np.sqrt(np.mean([np.mean((frame / 255.0 - found) ** 2) for frame in frames]))
-    background = jnp.asarray(found, jnp.float32)
+    return _in_front_of(model, jnp.asarray(found, jnp.float32), jnp.asarray(deviation, jnp.float32)), data
+
+
+def _in_front_of(model: Any, background: jax.Array, deviation: jax.Array) -> Any:
+    """Return the model that sees the deviations from a background, and renders the parts in front of it."""
     return eqx.tree_at(
         lambda m: (m.estimator.standardise.mean, m.estimator.standardise.deviation, m.renderer.background),
         model,
-        (background, jnp.asarray(deviation, jnp.float32), background),
-    ), data
+        (background, deviation, background),
+    )
 
 
 def name_keypoints(model: Any, data: Resident) -> tuple[Any, Resident]:
