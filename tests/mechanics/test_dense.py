@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.mechanics import Linear, SwishEnergy, SwishMLP, truncated_normal
+from keycld.mechanics import Linear, SwishEnergy, SwishMLP, begin_as_identity, truncated_normal
 
 
 def test_kernels_have_haikus_deviation_and_no_tails(getkey):
@@ -32,3 +32,19 @@ def test_networks_of_the_benchmark_have_its_numbers_of_weights(getkey):
 def test_an_empty_layer_is_refused(getkey):
     with pytest.raises(KeycldError, match="at least one input"):
         Linear(0, 3, key=getkey())
+
+
+@pytest.mark.parametrize(("hidden", "depth"), [(250, 4), (71, 1)])
+def test_a_network_may_begin_as_the_identity(getkey, hidden, depth):
+    """It is linear at first, and nothing of a state is lost in two hundred applications."""
+    network = begin_as_identity(SwishMLP(34, 32, hidden, depth, key=getkey()), key=getkey())
+    x, u = jax.random.normal(getkey(), (32,)), jnp.array([0.3, -2.0])
+    again, _ = jax.lax.scan(lambda s, _: (network(jnp.concatenate([s, u])), None), x, length=200)
+    np.testing.assert_allclose(again, x, atol=2e-3)
+    kernels = [np.asarray(layer.kernel) for layer in network.layers]
+    assert all(kernel.std() > 0.01 for kernel in kernels)
+
+
+def test_too_few_units_for_the_identity_are_refused(getkey):
+    with pytest.raises(KeycldError, match="identity of 4 numbers has at least 8 hidden units and at most 4 outputs"):
+        begin_as_identity(SwishMLP(4, 4, 7, 2, key=getkey()), key=getkey())

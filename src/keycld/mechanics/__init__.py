@@ -18,6 +18,7 @@ from keycld.mechanics.constraints_toml import parse_constraints as parse_constra
 from keycld.mechanics.dense import Linear as Linear
 from keycld.mechanics.dense import SwishEnergy as SwishEnergy
 from keycld.mechanics.dense import SwishMLP as SwishMLP
+from keycld.mechanics.dense import begin_as_identity as begin_as_identity
 from keycld.mechanics.dense import truncated_normal as truncated_normal
 from keycld.mechanics.discovery import Candidate as Candidate
 from keycld.mechanics.discovery import candidates as candidates
@@ -187,6 +188,7 @@ __all__ = [
     "SumPotential",
     "SwishEnergy",
     "SwishMLP",
+    "begin_as_identity",
     "ViscousFriction",
     "adaptive_rollout",
     "as_constraint",

@@ -1,5 +1,7 @@
 """Dense layers as in Haiku, of which "Which priors matter?" builds its energies, fields and recurrent cells."""
 
+import functools
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -69,6 +71,41 @@ class SwishMLP(eqx.Module):
         for layer in self.layers[:-1]:
             x = jax.nn.swish(layer(x))
         return self.layers[-1](x)
+
+
+def begin_as_identity(network: SwishMLP, *, key: PRNGKeyArray) -> SwishMLP:
+    """Return a network of the same sizes that is the identity before training: y = the first entries of x.
+
+    Hidden units come in pairs of opposite sign, and swish(z) − swish(−z) = z: the network is linear at first
+    ("looks-linear" weights, Balduzzi et al. 2017, section 4).
+
+    Args:
+        network: the sizes.
+        key: of random rotations between the layers.
+
+    Raises:
+        KeycldError: a hidden layer has less than two units for each input.
+    """
+    inputs, hidden = network.layers[0].kernel.shape
+    outputs, pairs = network.layers[-1].kernel.shape[1], hidden // 2
+    if pairs < inputs or outputs > inputs:
+        raise KeycldError(
+            f"a network that begins as the identity of {inputs} numbers has at least {2 * inputs} hidden units and at "
+            f"most {inputs} outputs, not {hidden} and {outputs}."
+        )
+    turns = [jax.random.orthogonal(each, pairs) for each in jax.random.split(key, len(network.layers) - 1)]
+    turns[0] = turns[0][:inputs]
+    back = functools.reduce(jnp.matmul, turns).T[:, :outputs]
+    kernels = [
+        jnp.concatenate([turns[0], -turns[0]], axis=1),
+        *(jnp.block([[turn, -turn], [-turn, turn]]) for turn in turns[1:]),
+        jnp.concatenate([back, -back]),
+    ]
+    padded = [
+        jnp.pad(kernel, [(0, most - size) for most, size in zip(layer.kernel.shape, kernel.shape, strict=True)])
+        for kernel, layer in zip(kernels, network.layers, strict=True)
+    ]
+    return eqx.tree_at(lambda n: [layer.kernel for layer in n.layers], network, padded)
 
 
 class SwishEnergy(eqx.Module):

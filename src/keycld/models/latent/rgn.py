@@ -3,10 +3,11 @@
 from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
+import jax
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from keycld.mechanics import AbstractField, AbstractIntegrator, Scalar
-from keycld.models.latent.unstructured import AbstractUnstructuredModel, parts
+from keycld.mechanics import AbstractField, AbstractIntegrator, FirstOrderDynamics, Scalar, begin_as_identity
+from keycld.models.latent.unstructured import AbstractUnstructuredModel, NetworkField, parts
 from keycld.models.scene import Scene
 
 if TYPE_CHECKING:
@@ -48,3 +49,15 @@ class RGN(AbstractUnstructuredModel):
 def build(config: "ReleasedRGN", scene: Scene, key: PRNGKeyArray) -> RGN:
     """Build an RGN with random weights."""
     return RGN(**parts(config, scene, Jump(residual=config.model == "rgn-res"), key))
+
+
+def build_still(config: "ReleasedRGN", scene: Scene, key: PRNGKeyArray) -> RGN:
+    """Build an RGN whose map is the identity before training: nothing moves, as in RGN-Res, and nothing is lost.
+
+    Usual random weights shrink the latent vector at each frame. After a few frames nothing is left of it, and training
+    ends at the mean picture.
+    """
+    model = build(config, scene, key)
+    assert isinstance(model.dynamics, FirstOrderDynamics) and isinstance(model.dynamics.field, NetworkField)
+    still = begin_as_identity(model.dynamics.field.network, key=jax.random.fold_in(key, 1))
+    return eqx.tree_at(lambda m: m.dynamics.field.network, model, still)
