@@ -14,8 +14,9 @@ from keycld.training.step import initial_progress, make_step
 from scenes import disc_pendulum
 
 SMALL = {
-    "width": 8, "channels": 8, "hidden": 12, "depth": 1, "latent": 4, "layers": 2, "batch": 2, "targets": 3, "window": 4,
-    "horizons": (6,), "shares": (0.5,), "given": 3, "integrator": "rk2", "candidates": 1, "steps": 1, "epochs": 1,
+    "width": 8, "channels": 8, "hidden": 12, "depth": 1, "latent": 4, "layers": 2, "batch": 2, "targets": 3,
+    "window": 4, "horizons": (6,), "shares": (0.5,), "given": 3, "integrator": "rk2", "candidates": 1, "steps": 1,
+    "epochs": 1,
 }  # fmt: skip
 """Settings by name, wherever a config or one of its groups has one of that name.
 

@@ -3,7 +3,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld.vision import gaussian_maps, image_grid, spatial_softmax
+from keycld.vision import gaussian_maps, image_grid, pixel_size, spatial_softmax
 
 
 def test_corner_pixels_of_a_square_image_are_plus_minus_one():
@@ -18,6 +18,7 @@ def test_grid_is_isotropic_and_the_shorter_side_is_one():
     grid = image_grid(32, 64)
     np.testing.assert_allclose(grid[0, 0, 1], 1, atol=1e-6)
     np.testing.assert_allclose(grid[0, -1, 0], 63 / 31, atol=1e-6)
+    np.testing.assert_allclose(grid[0, 1] - grid[0, 0], [pixel_size(32, 64), 0], atol=1e-6)
 
 
 def test_coarse_cells_lie_in_the_middle_of_their_pixels():

@@ -78,6 +78,7 @@ def measure_parts(
     """
     from keycld.evaluation import measure_tracks, restless
     from keycld.mechanics import dump_constraints, load_constraints
+    from keycld.vision import pixel_size
 
     with hidden_folder(run / "looked") as folder:
         judged, dt = _judged(clip, folder / "looked", options)
@@ -85,7 +86,7 @@ def measure_parts(
     found = next((each.candidate for each in judged if each.chosen), None)
     if found is None or dump_constraints(found.constraints) != told:
         return None
-    pixel = 2 / (_SIDE - 1)
+    pixel = pixel_size(_SIDE, _SIDE)
     measured = measure_tracks(found, dt, tried=tried, pixel=pixel, scale=scale)
     if measured is None:
         return None

@@ -15,6 +15,7 @@ from keycld.evaluation.outcome import Evaluation, keypoint_names
 from keycld.evaluation.predicting import Progress, batch_size, observe, predict, refuse_too_few
 from keycld.mechanics import AbstractDisplacement, Constraints, Motion, State
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian
+from keycld.vision import pixel_size
 
 if TYPE_CHECKING:
     from keycld.data import DataSet
@@ -89,7 +90,7 @@ def evaluate_motion(
         "given": given,
         "dt": dt,
         "size": size,
-        "pixel": 2 / (min(height, width) - 1),
+        "pixel": pixel_size(height, width),
         "keypoints": list(_names(model, observed.shape[2])),
         "links": _links(model),
         "error": summary(error[:, given:]),

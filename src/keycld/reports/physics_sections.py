@@ -8,6 +8,7 @@ from keycld.drawing import save_figure, save_image
 from keycld.evaluation import keypoint_names
 from keycld.reports import figures, html, movies
 from keycld.reports.run import Run
+from keycld.vision import pixel_size
 
 
 def observation(run: Run) -> str:
@@ -31,7 +32,7 @@ def keypoints(run: Run) -> str:
             "state", "Keypoints and the true state", "the data does not tell the true positions of keypoints"
         )
     state = result.scores["state"]
-    pixel = 2.0 / (min(result.arrays["truth"].shape[2:4]) - 1)
+    pixel = pixel_size(*result.arrays["truth"].shape[2:4])
     rows = [
         ["observed in a frame", html.number(state["residual"]), f"{state['residual'] / pixel:.2f}"],
         ["predicted, all frames", html.number(state["rollout"]), _pixels(state["rollout"], pixel)],

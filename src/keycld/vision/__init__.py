@@ -3,6 +3,7 @@
 from keycld.vision.chunks import mean_in_chunks as mean_in_chunks
 from keycld.vision.coordinates import gaussian_maps as gaussian_maps
 from keycld.vision.coordinates import image_grid as image_grid
+from keycld.vision.coordinates import pixel_size as pixel_size
 from keycld.vision.coordinates import spatial_softmax as spatial_softmax
 from keycld.vision.fully_connected import DenseEstimator as DenseEstimator
 from keycld.vision.fully_connected import DenseRenderer as DenseRenderer
@@ -44,6 +45,7 @@ __all__ = [
     "Standardise",
     "gaussian_maps",
     "image_grid",
+    "pixel_size",
     "mean_in_chunks",
     "moving_parts",
     "spatial_softmax",

@@ -9,6 +9,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 
+def pixel_size(height: int, width: int) -> float:
+    """Return the side of a pixel of an image, in image-plane units."""
+    return 2.0 / (min(height, width) - 1)
+
+
 def image_grid(height: int, width: int, stride: int = 1) -> Float[Array, "rows columns 2"]:
     """Return the positions (x, y) of the cells of an image, in image-plane units.
 
@@ -17,7 +22,7 @@ def image_grid(height: int, width: int, stride: int = 1) -> Float[Array, "rows c
         width: columns of the image, pixels.
         stride: a cell is a square of `stride × stride` pixels and lies at its middle; with 1 the cells are the pixels.
     """
-    unit = 2.0 / (min(height, width) - 1)
+    unit = pixel_size(height, width)
     rows = jnp.arange(height // stride) * stride + (stride - 1) / 2
     columns = jnp.arange(width // stride) * stride + (stride - 1) / 2
     y = ((height - 1) / 2 - rows) * unit

@@ -17,7 +17,7 @@ from keycld.models.keycld.own_initial_state import OwnInitialState
 from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import MISSED, Tracks, nearest_polynomials
-from keycld.vision import image_grid
+from keycld.vision import image_grid, pixel_size
 
 # How many of their own errors a law may be away from the keypoints, and how many where it misses much of the motion.
 _ERRORS, _NEAR = 5.0, 2.0
@@ -148,7 +148,7 @@ def judge_dynamics(
         x, u = observed_keypoints(model, data, count, first=1)
         if x.shape[1] == frames:
             break
-        pixel = 2 / max(data.shape[2:4])
+        pixel = pixel_size(*data.shape[2:4])
         if not frames and (failure := _collapsed(model.law, x, pixel) or _still(x, pixel) or _sliding(model, x, loose)):
             break
         failure, frames = _unexplained(model, data, x, u, worst, small, tried), x.shape[1]
@@ -204,7 +204,7 @@ def _unexplained(
 ) -> str | None:
     """Return what the law of a model does not explain of observed keypoints `[N, T, 2K]`, or None."""
     assert isinstance(model.dynamics, MechanicalDynamics)
-    pixel = 2 / max(data.shape[2:4])
+    pixel = pixel_size(*data.shape[2:4])
     among = () if tried is None else tried.named
     recordings = Tracks(x, u, data.dt, model.constants, own=own_guess(model, x), among=among)
     fitted, tracks = explain(model.dynamics, recordings)

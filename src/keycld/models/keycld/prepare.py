@@ -35,7 +35,7 @@ from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, li
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
 from keycld.models.keycld.velocity_prior import VelocityPrior
-from keycld.vision import still_background
+from keycld.vision import pixel_size, still_background
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
@@ -150,7 +150,7 @@ def identify_dynamics(
         return model, data
     model = _told_apart(model, data)
     x, u = observed_keypoints(model, data, FITTED)
-    model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), 2 / max(data.shape[2:4])
+    model, pixel = _sharing(model.located(x.reshape(-1, x.shape[-1])), x), pixel_size(*data.shape[2:4])
     assert isinstance(model.dynamics, MechanicalDynamics)
     if is_singular(model.law.constraint_function, x.reshape(-1, x.shape[-1])[:: max(1, x.shape[1] // 2)]):
         raise KeycldError(
@@ -190,7 +190,7 @@ def fit_dynamics(
     fitted, tracks = refit(model.dynamics, tracks, tried=tried, anew=anew)
     model = _sharing(eqx.tree_at(lambda m: m.dynamics, model, fitted.dynamics), x)
     if tried is not None:
-        _report(model, float(fitted.rms) * max(data.shape[2:4]) / 2)
+        _report(model, float(fitted.rms) / pixel_size(*data.shape[2:4]))
     # The median of |e| of a normal distribution is 0.67 σ.
     error = jnp.median(jnp.abs(fitted.paths - tracks.x).reshape(-1, x.shape[-1] // 2, 2), axis=(0, 2)) / 0.67
     model = eqx.tree_at(lambda m: m.initial_state.error, model, jnp.maximum(error, 1e-5))
