@@ -157,6 +157,15 @@ def test_rgn_applies_its_network_once_a_frame(getkey, model):
         np.testing.assert_allclose(found[k], s, rtol=1e-4, atol=1e-5)
 
 
+def test_rgn_of_our_recipe_begins_at_rest(getkey):
+    """Its map is the identity, so that the latent vector of the first frame reaches the last one."""
+    config = config_for("rgn", "fast", channels=4, latent=6, hidden=16, depth=2)
+    model = config.build(Scene(16, 16, 1, 20, 0.05, 3), getkey())
+    state = model.state(jax.random.normal(getkey(), (6,)))
+    found = model.rollout(state, DT, jnp.ones(1), 60).coordinates
+    np.testing.assert_allclose(found, jnp.broadcast_to(state.coordinates, (61, 6)), atol=1e-4)
+
+
 @pytest.mark.parametrize("model", ["lgn", "ode", "rgn"])
 def test_inputs_move_every_model(getkey, model):
     built_model = built(getkey(), model, inputs=2)
