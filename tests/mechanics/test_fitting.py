@@ -3,7 +3,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_examples import law, on_circle
+from mechanics_examples import double_pendulum, law, on_circle
 
 from keycld.mechanics import (
     Constraints,
@@ -96,3 +96,22 @@ def test_slopes_of_the_cost_are_its_derivatives_for_inputs_of_any_kind(held):
     slope = rows.T @ left
     exact = jax.grad(lambda theta: cost(cost.path(z, theta, constants, u).x - x))(theta)
     np.testing.assert_allclose(slope[4:], exact, atol=0.01 * float(jnp.linalg.norm(exact)))
+
+
+def test_a_common_factor_of_masses_and_forces_has_no_curvature_in_a_chaotic_motion():
+    """What θ changes of a double pendulum's motion, next to its initial state, is a small part of the sums of squares.
+
+    Eliminating the initial state by differences of such sums left 1e-3 here.
+    """
+    truth = MechanicalDynamics(double_pendulum(damping=0.05 * np.eye(2)), Rattle(substeps=2))
+    x = jnp.array([1.0, 0.0, 1.5, 0.9])
+    start = State(Motion(x, jnp.zeros(4)), {"constants": truth.law.constraint(x)})
+    seen = truth.rollout(start, jnp.zeros(0), DT, 199).x
+    seen = seen + 0.003 * jax.random.normal(jax.random.key(0), seen.shape)
+    free = free_leaves(truth, lambda name: "mass" in name or "potential" in name or "dissipation" in name)
+    fitted = jax.jit(lambda x: fit_motions(truth, free, x, jnp.zeros((1, 0)), DT, iterations=1))(seen[None])
+    curvature = np.asarray(fitted.curvature, float)
+    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-12 * curvature.max()))
+    values = np.linalg.eigvalsh(curvature / scale[:, None] / scale)
+    # The other one is a number that friction does not use, above the diagonal.
+    assert np.sum(np.abs(values) < 1e-4) == 2 and values[2] > 1e-3
