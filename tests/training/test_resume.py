@@ -297,7 +297,16 @@ def test_a_latent_model_of_schema_5_was_not_compared_with_its_encoder():
     old = {name: value for name, value in config.settings().items() if name != "consistency"}
     assert config.consistency > 0
     assert config.changed(config.migrated(old, 5)).consistency == 0
-    assert config.migrated(config.settings(), 6) == config.settings()
+    assert config.changed(config.migrated(config.settings(), 6)).consistency == config.consistency
+
+
+def test_a_latent_model_of_schema_7_learned_pictures_from_motions():
+    """`fast` had no stage for pictures."""
+    config = config_for("hgn", "fast")
+    old = {name: value for name, value in config.settings().items() if not name.startswith("pictures")}
+    names = [stage.name for stage in config.changed(config.migrated(old, 7)).stages(Scene(32, 32, 0, 256, 0.05, 100))]
+    assert names == ["horizon-8", "horizon-24", "horizon-all"]
+    assert config.migrated(config.settings(), 8) == config.settings()
 
 
 def test_a_model_that_grew_is_resumed_and_loaded(whole, monkeypatch):

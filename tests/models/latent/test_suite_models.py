@@ -203,14 +203,17 @@ def test_presets_differ_as_the_paper_and_its_code_do():
 
 
 def test_the_fast_recipe_lengthens_its_windows():
-    """Horizons 8 and 24, then all 60 targets; both ways with the given frames as targets too."""
+    """One frame, 8 and 24, then all 60 targets; both ways with the given frames as targets too."""
     scene = Scene(32, 32, 0, 256, 0.05, 100)
-    for model, lengths in (("hgn", [13, 29, 64]), ("ode-tr", [14, 30, 65])):
+    for model, lengths in (("hgn", [6, 13, 29, 64]), ("ode-tr", [7, 14, 30, 65])):
         stages = config_for(model, "fast", steps=1000).stages(scene)
+        assert [stage.name for stage in stages] == ["pictures", "horizon-8", "horizon-24", "horizon-all"]
         assert [stage.sampler.length for stage in stages] == lengths
-        assert [stage.steps for stage in stages] == [60, 140, 800]
-        assert [stage.validate for stage in stages] == [False, False, True]
-    with pytest.raises(KeycldError, match="the sum of setting shares is below 1, not 1.1"):
+        assert [stage.steps for stage in stages] == [200, 100, 150, 550]
+        assert [stage.validate for stage in stages] == [False, False, False, True]
+        without = config_for(model, "fast", steps=1000, pictures=0).stages(scene)
+        assert [stage.steps for stage in without] == [100, 150, 750]
+    with pytest.raises(KeycldError, match="the sum of settings pictures and shares is below 1, not 1.3"):
         config_for("hgn", "fast", shares=(0.5, 0.6))
     with pytest.raises(KeycldError, match="have one number for each of the first stages, not 1 and 2: set both"):
         config_for("hgn", "fast", horizons=(5000,))

@@ -180,7 +180,9 @@ class PaperSettings(LatentConfig):
 
 @dataclasses.dataclass(frozen=True)
 class FastSettings(LatentConfig):
-    """Our recipe for every model of the family: a small decoder, few rendered frames, growing horizons, consistency."""
+    """Our recipe for every model of the family: pictures first, growing horizons, a small decoder, few rendered frames,
+    consistency.
+    """
 
     beta: float = 0.1
     """Weight of the KL divergence in `elbo`."""
@@ -198,10 +200,16 @@ class FastSettings(LatentConfig):
     """Windows a step."""
     steps: int = 2_000
     """Optimiser steps of all stages together."""
+    pictures: float = 0.2
+    """Share of the steps that the stage `pictures` takes, which predicts a single frame. Pictures are learned there: from
+    longer motions, which are wrong at first, a decoder learns the mean picture. 0: no such stage.
+    """
+    pictures_rate: float = 5e-3
+    """Learning rate of Muon in the stage `pictures`, for encoder and decoder; all other parameters have `rate`."""
     horizons: tuple[int, ...] = (8, 24)
-    """Frames that the first stages predict; the last stage predicts all targets."""
-    shares: tuple[float, ...] = (0.06, 0.14)
-    """Shares of the steps that the first stages take; the last stage takes the rest."""
+    """Frames that the next stages predict; the last stage predicts all targets."""
+    shares: tuple[float, ...] = (0.1, 0.15)
+    """Shares of the steps that these stages take; the last stage takes the rest."""
     warmup: float = 0.03
     """Share of the steps of each stage in which the rate rises from zero: each begins with a fresh Adam."""
     final: float = 0.02
@@ -219,31 +227,43 @@ class FastSettings(LatentConfig):
                 "settings horizons and shares have one number for each of the first stages, not "
                 f"{len(self.horizons)} and {len(self.shares)}: set both."
             )
-        if sum(self.shares) >= 1:
-            raise KeycldError(f"the sum of setting shares is below 1, not {sum(self.shares):g}.")
+        total = self.pictures + sum(self.shares)
+        if total >= 1:
+            raise KeycldError(f"the sum of settings pictures and shares is below 1, not {total:g}.")
+
+    def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
+        """Return settings of schema 7 and earlier, in which no stage was for pictures alone."""
+        settings = super().migrated(settings, version)
+        return settings if version > 7 else {**settings, "pictures": 0.0}
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
-        """Return one stage for each horizon, and a validation score at the end."""
+        """Return a stage for pictures, one for each horizon, and a validation score at the end."""
         from functools import partial
 
         from keycld.data import Windows
-        from keycld.stages import Group, Stage, warmup_cosine, whole
+        from keycld.stages import Group, Stage, muon, warmup_cosine, whole
 
-        first = [round(share * self.steps) for share in self.shares]
-        counts = [*first, self.steps - sum(first)]
-        return tuple(
-            Stage(
-                name="horizon-all" if last else f"horizon-{targets - 1}",
-                steps=count,
+        def stage(name: str, steps: int, targets: int, *more: Group, last: bool = False) -> Stage:
+            return Stage(
+                name=name,
+                steps=steps,
                 sampler=Windows(self.batch, self.window(scene, targets)),
                 loss=self.loss(scene),
-                groups=(Group("model", whole, self.rate),),
+                groups=(Group("model", whole, self.rate), *more),
                 schedule=partial(warmup_cosine, warmup=self.warmup, final=self.final if last else 1.0),
                 clip=self.clip,
                 skips=self.SKIPS,
                 validate=last,
             )
-            for last, targets, count in zip(
-                [*[False] * len(first), True], [*(h + 1 for h in self.horizons), self.targets], counts, strict=True
-            )
-        )
+
+        counts = [round(share * self.steps) for share in (self.pictures, *self.shares)]
+        # Targets begin with the frame that the state belongs to.
+        first = [stage("pictures", counts[0], 2, Group("vision", _vision, self.pictures_rate, muon))]
+        grown = [stage(f"horizon-{h}", count, h + 1) for h, count in zip(self.horizons, counts[1:], strict=True)]
+        last = stage("horizon-all", self.steps - sum(counts), self.targets, last=True)
+        return (*(first if counts[0] else []), *grown, last)
+
+
+def _vision(model: Any) -> Any:
+    """Select encoder and decoder."""
+    return model.encoder, model.decoder
