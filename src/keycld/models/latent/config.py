@@ -180,9 +180,7 @@ class PaperSettings(LatentConfig):
 
 @dataclasses.dataclass(frozen=True)
 class FastSettings(LatentConfig):
-    """Our recipe for every model of the family: pictures first, growing horizons, a small decoder, few rendered frames,
-    consistency.
-    """
+    """Our recipe for every model of the family: pictures first, growing horizons, a small decoder, consistency."""
 
     beta: float = 0.1
     """Weight of the KL divergence in `elbo`."""
@@ -201,8 +199,8 @@ class FastSettings(LatentConfig):
     steps: int = 2_000
     """Optimiser steps of all stages together."""
     pictures: float = 0.2
-    """Share of the steps that the stage `pictures` takes, which predicts a single frame. Pictures are learned there: from
-    longer motions, which are wrong at first, a decoder learns the mean picture. 0: no such stage.
+    """Share of the steps that the first stage takes, `pictures`, which predicts a single frame; 0: no such stage.
+    Without it a decoder learns the mean picture where pictures are hard: longer motions are wrong at first.
     """
     pictures_rate: float = 5e-3
     """Learning rate of Muon in the stage `pictures`, for encoder and decoder; all other parameters have `rate`."""
