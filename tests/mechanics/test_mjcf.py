@@ -129,9 +129,31 @@ def test_couplings_without_a_link_are_refused(what):
     matrix = {"masses": np.diag([1.0, 0.6, 0.3]), "friction": np.diag([0.5, 0.4, 0.3])}
     matrix[what][2, 0] = matrix[what][0, 2] = -0.08
     items = (*CHAIN, FixedDistance("tip", "end"))
-    chosen = law(matrix["masses"], items, ("elbow", "tip", "end"), 3 * [0, 9.0], friction=matrix["friction"])
+    chosen = law(matrix["masses"], items, ("elbow", "tip", "end"), [0, 9.0, 0, 5.4, 0, 2.7], friction=matrix["friction"])
     with pytest.raises(KeycldError, match=f"the {what}.* couple keypoints without a link between them"):
         to_mjcf(chosen, np.ones(3))
+
+
+@pytest.mark.parametrize("weight", [[0, 27, 0, 30, 0, 9], [0, 27, 5, 18, 0, 9], [-3, 27, 3, 18, 0, 9]])
+def test_weights_of_no_gravity_are_refused(weight):
+    """Of point masses 1, 0.6 and 0.3: the middle one too heavy, or some of them pulled sideways."""
+    items = (*CHAIN, FixedDistance("tip", "end"))
+    to_mjcf(law(np.diag([1.0, 0.6, 0.3]), items, ("elbow", "tip", "end"), [0, 30.0, 0.2, 18, 0, 9]), np.ones(3))
+    chosen = law(np.diag([1.0, 0.6, 0.3]), items, ("elbow", "tip", "end"), np.array(weight, float))
+    with pytest.raises(KeycldError, match=r"% of the weights are not those of bodies in one gravity, at most 5% may"):
+        to_mjcf(chosen, np.ones(3))
+
+
+def test_a_rail_that_gravity_does_not_pull_along_is_refused():
+    """A cart with a constant force along its level rail, and any force at a right angle to it."""
+    items = (OnLine("cart"), FixedDistance("cart", "tip"))
+    for pull, fits in (([0.05, 70.0], True), ([2.0, 0.0], False)):
+        chosen = law([[1.0, 0.0], [0.0, 0.4]], items, ("cart", "tip"), [*pull, 0.0, 4.0])
+        if fits:
+            to_mjcf(chosen, np.ones(2))
+        else:
+            with pytest.raises(KeycldError, match="are not those of bodies in one gravity"):
+                to_mjcf(chosen, np.ones(2))
 
 
 def test_a_constraint_that_is_no_joint_is_refused():

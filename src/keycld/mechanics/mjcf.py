@@ -24,7 +24,8 @@ _SPARE = 0.02
 _FAR = 1e4
 _GIVES = "the friction of this law gives energy, which MuJoCo does not allow: measure it on more motion."
 _RIGID = "the masses are not those of rigid bodies: measure them on more recordings."
-# Couplings of keypoints without a link between them, as a share of what they have alone, that errors explain.
+# Couplings of keypoints without a link between them, as a share of what they have alone, and weights that are not those
+# of one gravity, as a share of all weights, that errors explain.
 _STRAY = 0.05
 
 
@@ -77,6 +78,8 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
     weights = _weights(law)
     unit = matrix.sum()
     parts, pull = _bodies(constraint.keypoints, joints, lengths, matrix / unit, weights / unit * metres)
+    if "springs" not in terms_of(law):
+        _check_weights(joints, parts, weights / unit * metres, pull)
     gravity = float(np.linalg.norm(pull))
     root = ElementTree.Element("mujoco", model="keycld")
     # Along a line gravity only shifts where a spring rests; `_springs` puts it there.
@@ -186,6 +189,31 @@ def _bodies(
         centre = length * moment / mass
         parts.append(_Part(names[k], joint, length, mass, centre, own * length**2 - mass * centre**2))
     return parts[::-1], gravity * direction
+
+
+def _check_weights(
+    joints: tuple[Joint, ...], parts: list[_Part], weights: Float[np.ndarray, "K 2"], pull: Float[np.ndarray, "2"]
+) -> None:
+    """Refuse weights that these bodies do not have in this gravity, as far as they act on the motion."""
+    explained, slides = np.zeros_like(weights), {}
+    for joint, part in zip(joints, parts, strict=True):
+        moment = part.mass * part.centre / part.length if part.length else part.mass
+        explained[joint.keypoint] -= moment * pull
+        if joint.parent is not None:
+            explained[joint.parent] -= (part.mass - moment) * pull
+        if joint.slide:
+            slides[joint.keypoint] = np.array(joint.place)
+
+    def acting(weights: np.ndarray) -> np.ndarray:
+        along = {k: (weights[k] @ place) * place for k, place in slides.items()}
+        return np.array([along.get(k, row) for k, row in enumerate(weights)])
+
+    stray, all_ = np.linalg.norm(acting(weights - explained)), np.linalg.norm(acting(weights))
+    if stray > _STRAY * all_:
+        raise KeycldError(
+            f"{stray / all_:.0%} of the weights are not those of bodies in one gravity, at most {_STRAY:.0%} may be: "
+            "measure them on more recordings, or export the keypoints with --to csv."
+        )
 
 
 def _springs(law: ConstrainedLagrangian, parts: list[_Part], unit: float, metres: float) -> None:
