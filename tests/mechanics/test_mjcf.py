@@ -85,6 +85,30 @@ def test_a_double_pendulum_with_links_of_spread_mass():
     np.testing.assert_allclose(simulated(chosen, x, [0.6, -1.0]), moved(chosen, x), atol=5e-3)
 
 
+@pytest.mark.parametrize("beside", [-0.3, -0.15, 0.1])
+def test_friction_that_couples_both_ends_of_a_link(beside):
+    """More than the friction of a turning link, as much, and of the other sign: always that of points on its line."""
+    matrix = [[1.6, 0.2], [0.2, 0.7]]
+    chosen = law(matrix, CHAIN, ("elbow", "tip"), [0, 17.0, 0, 9.0], friction=[[0.8, 0.0], [beside, 0.15]])
+    x = 0.5 * on_circle([0.6, -0.4])
+    np.testing.assert_allclose(simulated(chosen, x, [0.6, -1.0]), moved(chosen, x), atol=5e-3)
+
+
+def test_friction_of_three_links():
+    """The couplings of one link add to what is left for the links before it."""
+    items = (*CHAIN, FixedDistance("tip", "end"))
+    friction = [[0.6, 0, 0], [-0.3, 0.5, 0], [0, 0.1, 0.1]]
+    chosen = law(np.diag([1.0, 0.6, 0.3]), items, ("elbow", "tip", "end"), [0, 9.0, 0, 5.4, 0, 2.7], friction=friction)
+    x = 0.5 * on_circle([0.6, -0.4, 0.2])
+    np.testing.assert_allclose(simulated(chosen, x, [0.6, -1.0, 0.6]), moved(chosen, x), atol=5e-3)
+
+
+def test_friction_that_gives_energy_is_refused():
+    chosen = law(np.eye(2), CHAIN, ("elbow", "tip"), [0, 9.0, 0, 9.0], friction=[[0.1, 0], [0.3, 0.2]])
+    with pytest.raises(KeycldError, match="the friction of this law gives energy"):
+        to_mjcf(chosen, np.ones(2))
+
+
 def test_hinge_friction_of_a_cart_and_pole():
     items = (OnLine("cart"), FixedDistance("cart", "tip"))
     chosen = law([[1.0, 0.0], [0.0, 0.4]], items, ("cart", "tip"), [0, 0, 0, 4.0], kinds=("joints",))
@@ -129,7 +153,9 @@ def test_couplings_without_a_link_are_refused(what):
     matrix = {"masses": np.diag([1.0, 0.6, 0.3]), "friction": np.diag([0.5, 0.4, 0.3])}
     matrix[what][2, 0] = matrix[what][0, 2] = -0.08
     items = (*CHAIN, FixedDistance("tip", "end"))
-    chosen = law(matrix["masses"], items, ("elbow", "tip", "end"), [0, 9.0, 0, 5.4, 0, 2.7], friction=matrix["friction"])
+    chosen = law(
+        matrix["masses"], items, ("elbow", "tip", "end"), [0, 9.0, 0, 5.4, 0, 2.7], friction=matrix["friction"]
+    )
     with pytest.raises(KeycldError, match=f"the {what}.* couple keypoints without a link between them"):
         to_mjcf(chosen, np.ones(3))
 

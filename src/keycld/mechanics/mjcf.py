@@ -31,7 +31,7 @@ _STRAY = 0.05
 
 @dataclasses.dataclass
 class _Part:
-    """A rigid body: its mass, centre along the link and inertia about it; its joint."""
+    """A rigid body: its mass, centre along the link and inertia about it; its joint; the point that is resisted."""
 
     name: str
     joint: Joint
@@ -43,6 +43,7 @@ class _Part:
     loss: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
+    resisted: float | None = None
 
 
 def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, metres: float = 1.0) -> str:
@@ -245,17 +246,8 @@ def _friction(
     if isinstance(viscous, ViscousFriction):
         matrix = np.asarray(viscous.coefficients, float)
         matrix = _along_links((np.tril(matrix) + np.tril(matrix, -1).T) / unit, joints, "friction terms")
-        for k, joint in enumerate(joints):
-            if joint.parent is not None:
-                between = -matrix[joint.keypoint, joint.parent]
-                _turning(parts, elements[1], chains[k], between * parts[k].length ** 2)
-            alone = float(matrix[joint.keypoint].sum())
-            if joint.slide:
-                parts[k].damping += alone
-            elif joint.parent is None:
-                parts[k].damping += alone * parts[k].length ** 2
-            elif abs(alone) > 1e-9:
-                _resisted(parts[k], elements, alone)
+        for k in reversed(range(len(joints))):
+            _drag(matrix, k, joints, parts, chains[k], elements)
     hinges = terms.get("joints")
     if isinstance(hinges, JointFriction):
         assert isinstance(law.constraint_function, Constraints)
@@ -274,6 +266,38 @@ def _friction(
             )
         parts[0].loss = float(np.asarray(dry.strength)[0]) / unit * (parts[0].length or 1.0)
     if any(part.damping < 0 or part.loss < 0 for part in parts):
+        raise KeycldError(_GIVES)
+
+
+def _drag(
+    matrix: np.ndarray,
+    k: int,
+    joints: tuple[Joint, ...],
+    parts: list[_Part],
+    chain: list[int],
+    elements: tuple[ElementTree.Element, ElementTree.Element],
+) -> None:
+    """Give the friction of keypoint k to its joint and link, and take it from the matrix; from the tip inward.
+
+    For a link, own |v|² + 2 beside v·v' of its far and near end: where beside is between −own and 0, a friction of the
+    turning link and one of its far end; else that of one point on its line, (own v + beside v')² / own.
+    """
+    joint, part = joints[k], parts[k]
+    own = float(matrix[joint.keypoint, joint.keypoint])
+    if joint.parent is None:
+        # What the links leave of a friction that gives no energy is not negative, but for rounding.
+        own = max(own, 0.0) if own > -1e-6 else own
+        part.damping += own if joint.slide else own * part.length**2
+        return
+    beside = float(matrix[joint.keypoint, joint.parent])
+    if -own * (1 + 1e-3) <= beside <= 0:
+        _turning(parts, elements[1], chain, -beside * part.length**2)
+        matrix[joint.parent, joint.parent] += beside
+        _resisted(part, elements, own + beside, 1.0)
+    elif own > 0:
+        matrix[joint.parent, joint.parent] -= beside**2 / own
+        _resisted(part, elements, (own + beside) ** 2 / own, own / (own + beside))
+    else:
         raise KeycldError(_GIVES)
 
 
@@ -308,18 +332,28 @@ def _turning(parts: list[_Part], tendons: ElementTree.Element, chain: list[int] 
         ElementTree.SubElement(tendon, "joint", joint=parts[k].name, coef=_text(shares[k]))
 
 
-def _resisted(part: _Part, elements: tuple[ElementTree.Element, ElementTree.Element], damping: float) -> None:
-    """Add dampers from a keypoint to points far away, to the right and above: friction in any direction."""
-    if damping < 0:
-        raise KeycldError(_GIVES)
+def _resisted(
+    part: _Part, elements: tuple[ElementTree.Element, ElementTree.Element], damping: float, place: float
+) -> None:
+    """Add dampers from a point on a link's line to points far away, to the right and above: friction in any direction.
+
+    Args:
+        part: the link.
+        elements: of the world and of tendons.
+        damping: of the point.
+        place: of the point, 0 at the near end and 1 at the far end.
+    """
+    if damping < 1e-9:
+        return
     world, tendons = elements
-    for name, place in (("right", (1.0, 0.0)), ("above", (0.0, 1.0))):
+    part.resisted = place * part.length
+    for name, (right, above) in (("right", (1.0, 0.0)), ("above", (0.0, 1.0))):
         site = f"{part.name}_{name}"
-        far = _FAR * part.length
-        ElementTree.SubElement(world, "site", name=site, pos=_text(far * place[0], 0.0, far * place[1]))
+        far = _FAR * part.length * max(1.0, abs(place))
+        ElementTree.SubElement(world, "site", name=site, pos=_text(far * right, 0.0, far * above))
         tendon = ElementTree.SubElement(tendons, "spatial", damping=_text(damping))
         ElementTree.SubElement(tendon, "site", site=site)
-        ElementTree.SubElement(tendon, "site", site=part.name)
+        ElementTree.SubElement(tendon, "site", site=f"{part.name}_resisted")
 
 
 def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> ElementTree.Element:
@@ -340,6 +374,8 @@ def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> Elemen
     )
     tip = _text(0.0, 0.0, -part.length)
     ElementTree.SubElement(body, "site", name=part.name, pos=tip)
+    if part.resisted is not None:
+        ElementTree.SubElement(body, "site", name=f"{part.name}_resisted", pos=_text(0.0, 0.0, -part.resisted))
     look = {"type": "sphere", "size": "0.05", "contype": "0", "conaffinity": "0", "mass": "0"}
     if part.length:
         look |= {"type": "capsule", "fromto": f"0 0 0 {tip}", "size": _text(0.02 * part.length)}
