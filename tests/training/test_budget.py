@@ -17,7 +17,7 @@ SMALL = {"channels": 4, "hidden": 8, "latent": 4, "batch": 2, "layers": 1}
 
 def test_all_stages_keep_their_shares_of_fewer_steps():
     hgn = config_for("hgn", "fast").shortened(0.5)
-    assert hgn.steps == 1000 and [stage.steps for stage in hgn.stages(SCENE)] == [200, 100, 150, 550]
+    assert hgn.steps == 1250 and [stage.steps for stage in hgn.stages(SCENE)] == [200, 100, 150, 800]
     keycld = config_for("keycld", "fast").shortened(0.5)
     assert (keycld.vision.steps, keycld.joint.steps, keycld.joint.fit_every, keycld.substeps) == (500, 1000, 400, 4)
     assert config_for("keycld", "paper").shortened(0.25).epochs == 25

@@ -209,11 +209,11 @@ def test_the_fast_recipe_lengthens_its_windows():
         stages = config_for(model, "fast", steps=1000).stages(scene)
         assert [stage.name for stage in stages] == ["pictures", "horizon-8", "horizon-24", "horizon-all"]
         assert [stage.sampler.length for stage in stages] == lengths
-        assert [stage.steps for stage in stages] == [200, 100, 150, 550]
+        assert [stage.steps for stage in stages] == [160, 80, 120, 640]
         assert [stage.validate for stage in stages] == [False, False, False, True]
         without = config_for(model, "fast", steps=1000, pictures=0).stages(scene)
-        assert [stage.steps for stage in without] == [100, 150, 750]
-    with pytest.raises(KeycldError, match="the sum of settings pictures and shares is below 1, not 1.3"):
+        assert [stage.steps for stage in without] == [80, 120, 800]
+    with pytest.raises(KeycldError, match="the sum of settings pictures and shares is below 1, not 1.26"):
         config_for("hgn", "fast", shares=(0.5, 0.6))
     with pytest.raises(KeycldError, match="have one number for each of the first stages, not 1 and 2: set both"):
         config_for("hgn", "fast", horizons=(5000,))

@@ -196,9 +196,9 @@ class FastSettings(LatentConfig):
     """Learning rate of Adam: constant while horizons grow, then annealed along half a cosine."""
     batch: int = 16
     """Windows a step."""
-    steps: int = 2_000
+    steps: int = 2_500
     """Optimiser steps of all stages together."""
-    pictures: float = 0.2
+    pictures: float = 0.16
     """Share of the steps that the first stage takes, `pictures`, which predicts a single frame; 0: no such stage.
     Without it a decoder learns the mean picture where pictures are hard: longer motions are wrong at first.
     """
@@ -206,7 +206,7 @@ class FastSettings(LatentConfig):
     """Learning rate of Muon in the stage `pictures`, for encoder and decoder; all other parameters have `rate`."""
     horizons: tuple[int, ...] = (8, 24)
     """Frames that the next stages predict; the last stage predicts all targets."""
-    shares: tuple[float, ...] = (0.1, 0.15)
+    shares: tuple[float, ...] = (0.08, 0.12)
     """Shares of the steps that these stages take; the last stage takes the rest."""
     warmup: float = 0.03
     """Share of the steps of each stage in which the rate rises from zero: each begins with a fresh Adam."""
