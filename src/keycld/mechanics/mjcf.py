@@ -209,10 +209,10 @@ def _check_weights(
         along = {k: (weights[k] @ place) * place for k, place in slides.items()}
         return np.array([along.get(k, row) for k, row in enumerate(weights)])
 
-    stray, all_ = np.linalg.norm(acting(weights - explained)), np.linalg.norm(acting(weights))
-    if stray > _STRAY * all_:
+    stray, total = np.linalg.norm(acting(weights - explained)), np.linalg.norm(acting(weights))
+    if stray > _STRAY * total:
         raise KeycldError(
-            f"{stray / all_:.0%} of the weights are not those of bodies in one gravity, at most {_STRAY:.0%} may be: "
+            f"{stray / total:.0%} of the weights are not those of bodies in one gravity, at most {_STRAY:.0%} may be: "
             "measure them on more recordings, or export the keypoints with --to csv."
         )
 
