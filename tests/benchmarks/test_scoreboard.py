@@ -163,6 +163,22 @@ def test_nothing_is_dropped(place):
     assert rgn.name == "toy/mass_spring-rgn-0"
 
 
+def test_ranks_are_of_sets_that_have_ended(place):
+    """A score that is not there yet is not a bad one; a failure is."""
+    (hgn, rgn, ar), later = select(systems=TWO[:1]), select(systems=TWO[1:])
+    scored(hgn, place, 0.1)
+    record_failure(rgn, place, "training", "KeycldError", "not a finite number at step 3")
+    scored(ar, place, 0.2)
+    scored(later[0], place, 0.9)
+    ranks = tables(select(), place)[0].rows[-2]
+    assert [cell and cell.mean for cell in ranks.cells] == [2.0, 3.0, 1.0, None]
+    assert ranks.note == "over 1 of 2 sets, the others are unfinished"
+    for each in later:
+        scored(each, place, 0.9)
+    ranks = tables(select(), place)[0].rows[-2]
+    assert [cell and cell.mean for cell in ranks.cells] == [2.0, 2.5, 1.5, None] and ranks.note == ""
+
+
 def test_a_seed_that_failed_is_not_hidden_by_the_next_one(place):
     failed, short, shorter = select(systems=TWO[:1], models=["hgn"], seeds=[0, 1, 2])
     record_failure(failed, place, "training", "KeycldError", "not a finite number at step 3")

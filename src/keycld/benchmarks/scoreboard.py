@@ -61,6 +61,7 @@ class Board(NamedTuple):
         cells: the same with the spread.
         trivial: the constant mean image, by set.
         notes: why a score is missing or not comparable, such as a shortened training, by set and model.
+        unfinished: sets of which an experiment has not ended; they have no ranks yet.
     """
 
     measure: Measure
@@ -68,6 +69,7 @@ class Board(NamedTuple):
     cells: dict[tuple[str, str], Cell]
     trivial: dict[str, float]
     notes: dict[tuple[str, str], str]
+    unfinished: frozenset[str]
 
 
 def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]:
@@ -78,6 +80,7 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
     """
     states = [(experiment, status_of(experiment, place)) for experiment in experiments]
     lacking = _lacking(experiments)
+    unfinished = frozenset(each.data.label for each, status in states if status.word not in ("done", "failed"))
     found = []
     for measure in MEASURES:
         values: dict[tuple[str, str], list[float]] = {}
@@ -115,7 +118,7 @@ def boards(experiments: Sequence[Experiment], place: Place) -> tuple[Board, ...]
         ours: dict[str, dict[str, float]] = {}
         for (label, model), cell in cells.items():
             ours.setdefault(label, {})[model] = cell.mean
-        found.append(Board(measure, ours, cells, trivial, notes))
+        found.append(Board(measure, ours, cells, trivial, notes, unfinished))
     return tuple(found)
 
 
@@ -167,7 +170,10 @@ def winners(scores: Mapping[str, float], *, larger: bool) -> tuple[str, ...]:
 
 
 def priors_tables(experiments: Sequence[Experiment], place: Place) -> tuple[Table, ...]:
-    """Return Tables 1, 5 and 6: for each set our scores and the published ones, with the winners; then the ranks."""
+    """Return Tables 1, 5 and 6: for each set our scores and the published ones, with the winners; then the ranks.
+
+    Ours are ranks over the sets of which all experiments have ended: one that has not run is not a bad score.
+    """
     models = list(dict.fromkeys(experiment.model for experiment in experiments))
     labels = list(dict.fromkeys(experiment.data.label for experiment in experiments))
     found = []
@@ -184,8 +190,10 @@ def priors_tables(experiments: Sequence[Experiment], place: Place) -> tuple[Tabl
             known = tuple(Cell(theirs[model], None, 0) if model in theirs else None for model in models)
             best = winners(theirs, larger=published.larger)
             rows.append(Row("  paper", "paper", (*known, None), _best(best)))
-        ranks = average_ranks(board.ours, models, larger=published.larger)
-        rows.append(Row("average rank", "ours", (*(_rank(ranks.get(model)) for model in models), None)))
+        ended = {label: scores for label, scores in board.ours.items() if label not in board.unfinished}
+        ranks = average_ranks(ended, models, larger=published.larger)
+        note = f"over {len(ended)} of {len(labels)} sets, the others are unfinished" if board.unfinished else ""
+        rows.append(Row("average rank", "ours", (*(_rank(ranks.get(model)) for model in models), None), note))
         printed = tuple(_rank(published.ranks.get(model)) for model in models)
         rows.append(Row("  paper", "paper", (*printed, None)))
         better = "larger" if published.larger else "smaller"
