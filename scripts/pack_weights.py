@@ -73,4 +73,4 @@ def card(run: Path) -> str:
 if __name__ == "__main__":
     for name in sys.argv[1:]:
         folder = pack(name, card(Path(name)))
-        print(folder, f"{(folder / 'weights.npz').stat().st_size / 1e6:.2f} MB")
+        print(folder, f"{sum(path.stat().st_size for path in folder.iterdir()) / 1e6:.2f} MB")

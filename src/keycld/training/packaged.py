@@ -135,10 +135,10 @@ def pack(run: str | Path, card: str, shelf: Path | None = None) -> Path:
         for name, value in named_arrays(model).items()
     }
     save_arrays(folder / WEIGHTS, weights)
-    # The recorded command may name folders of the machine; this one trains the same model.
+    # The recorded command and data may name folders of the machine; this command trains the same model.
     command = f"keycld train {config.system} --model {config.model} --preset {config.preset} --seed {config.seed}"
     settings = config.model_config().matching(model).settings()
-    plain = dataclasses.replace(config, command=command, settings=settings)
+    plain = dataclasses.replace(config, data=f"data/{config.system}", command=command, settings=settings)
     (folder / "config.json").write_text(json.dumps(dataclasses.asdict(plain), indent=1) + "\n")
     (folder / "README.md").write_text(card)
     shutil.copy(Path(run) / "metrics.jsonl", folder / "metrics.jsonl")
