@@ -90,6 +90,16 @@ def test_a_prior_knows_what_is_seen_and_that_other_numbers_do_not_differ(learned
     assert np.mean(np.abs(away[:, 1]) < 2) > 0.8
 
 
+def test_a_number_that_cannot_be_seen_does_not_blur_the_others(learned):
+    """Fits of friction, the same for all, scatter by 3 %: masses are known as well as with exact friction."""
+    place, mass, light, paths = recordings(120, 5, 0)
+    friction = 0.03 * np.random.default_rng(1).normal(size=120)
+    own = np.concatenate([place, np.log(mass)[:, None], friction[:, None]], axis=1)
+    found = OwnPrior.measured(own, paths, light, np.zeros((120, 1)))
+    spread, before = (np.sqrt(np.diag(np.asarray(each.factor_root @ each.factor_root.T))) for each in (found, learned))
+    assert spread[0] == pytest.approx(before[0], rel=0.05) and 0.02 < spread[1] < 0.04
+
+
 def test_the_light_of_a_part_is_a_sum_over_its_pixels():
     """Two squares of 4 and 16 pixels, far apart, on a background that is not black."""
     background = jnp.full((32, 32, 3), 0.3)
