@@ -60,7 +60,8 @@ def recordings(count, frames, seed):
     y = size * np.cos(np.sqrt(2 / mass)[:, None] * 0.05 * np.arange(frames) + phase)
     paths = place[:, None] + np.stack([np.zeros_like(y), y], axis=-1)
     colour = np.array([[0.7, -0.3, -0.4], [-0.3, 0.7, -0.4], [-0.3, 0.7, 0.6]])[random.integers(3, size=count)]
-    light = (mass * (1 + 0.02 * random.normal(size=count)))[:, None] * colour
+    seen, size = mass * (1 + 0.02 * random.normal(size=count)), np.linalg.norm(colour, axis=1)
+    light = np.concatenate([np.log(seen * size)[:, None], colour / size[:, None]], axis=1)
     return place, mass, light, paths
 
 
@@ -105,8 +106,11 @@ def test_the_light_of_a_part_is_a_sum_over_its_pixels():
     background = jnp.full((32, 32, 3), 0.3)
     frame = background.at[5:7, 5:7, 0].add(0.5).at[20:24, 20:24, 2].add(-0.2)
     keypoints = jnp.array([[[5.5 - 15.5, 15.5 - 5.5], [21.5 - 15.5, 15.5 - 21.5]]]) / 15.5
-    found = np.asarray(jax.jit(light_of)(frame[None], background, keypoints)) * 1024 / 100
-    np.testing.assert_allclose(found, [[4 * 0.5, 0, 0], [0, 0, -16 * 0.2]], atol=1e-4)
+    size, direction = np.split(np.asarray(jax.jit(light_of)(frame[None], background, keypoints)), [1], axis=1)
+    np.testing.assert_allclose(np.exp(size[:, 0]) * 1024 / 100, [4 * 0.5, 16 * 0.2], rtol=1e-4)
+    np.testing.assert_allclose(direction, [[1, 0, 0], [0, 0, -1]], atol=1e-4)
+    still = np.asarray(jax.jit(light_of)(background[None], background, keypoints))
+    assert np.all(np.isfinite(still)) and np.all(still[:, 1:] == 0)
 
 
 def test_five_frames_predict_a_hundred(learned):
@@ -125,7 +129,7 @@ def test_five_frames_predict_a_hundred(learned):
     assert np.median(np.abs(np.log(found["masses"][:, 0]) - np.log(mass))) < 0.03
     assert np.median(np.abs(found["place"] - place)) < 0.01
     assert np.median(np.linalg.norm(ahead[:, 100] - paths[:, 100], axis=1)) < 0.07
-    unseen, _ = predict(jnp.asarray(seen, jnp.float32), jnp.broadcast_to(learned.light_mean, (20, 1, 3)))
+    unseen, _ = predict(jnp.asarray(seen, jnp.float32), jnp.broadcast_to(learned.light_mean, (20, 1, 4)))
     assert np.median(np.linalg.norm(unseen[:, 100] - paths[:, 100], axis=1)) > 0.07
 
 

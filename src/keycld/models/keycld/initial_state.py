@@ -59,7 +59,7 @@ class AbstractInitialState(eqx.Module):
         x: Float[Array, "n dim"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        light: Float[Array, "K 3"] | None = None,
+        light: Float[Array, "K 4"] | None = None,
     ) -> tuple[State, Float[Array, "size size"] | None]:
         """Return the state at frame `anchor` from n ≥ `given` frames, and the covariance of its (x, v) if it is known.
 
@@ -148,7 +148,7 @@ class FittedInitialState(AbstractInitialState):
         x: Float[Array, "n dim"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        light: Float[Array, "K 3"] | None = None,
+        light: Float[Array, "K 4"] | None = None,
     ) -> tuple[State, Float[Array, "size size"] | None]:
         """Return the state at frame 0 from all frames; the covariance is None for two frames."""
         law, (count, dim) = _lagrangian(dynamics), x.shape

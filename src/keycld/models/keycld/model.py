@@ -147,7 +147,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         keypoints: Float[Array, "n K 2"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        light: Float[Array, "K 3"] | None = None,
+        light: Float[Array, "K 4"] | None = None,
     ) -> State:
         """Estimate the state from keypoints that were observed in consecutive frames; light tells own parameters.
 

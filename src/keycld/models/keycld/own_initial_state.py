@@ -24,9 +24,13 @@ from keycld.vision import image_grid
 _STEPS, _AWAY = 25, 1.5
 # Radial functions of the light, next to linear ones, and s of its shares.
 _CENTRES, _REACH = 48, 0.1
+# Less light than this, per cent of a white picture, has no direction.
+_DARK = 1e-4
 # Least deviation of an own number, so that the prior of one that does not differ stays regular.
 _LEAST = 1e-3
-_WIDTHS, _RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+_WIDTHS, _RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
+# Least deviation of the light that is the unit: 10 % of its size, as much of its direction.
+_DIM = 0.1
 
 
 class OwnPrior(eqx.Module):
@@ -43,8 +47,8 @@ class OwnPrior(eqx.Module):
         shift: a [2].
         turn: A [2, 2].
         place_root: a root of Σ_p [2, 2].
-        light_mean: mean of the light [F], F = 3K.
-        light_scale: its deviation [F].
+        light_mean: mean of the light [F], F = 4K.
+        light_scale: its deviation [F], 0.1 at least.
         centres: l_j [C, F], in units of that deviation.
         width: w.
         factors: B [K + 1, 1 + F + C].
@@ -68,7 +72,7 @@ class OwnPrior(eqx.Module):
     @classmethod
     def unknown(cls, keypoints: int, constants: int) -> "OwnPrior":
         """Return a wide prior, before it is measured."""
-        size = 3 * keypoints
+        size = 4 * keypoints
         return cls(
             shift=jnp.zeros(2),
             turn=jnp.eye(2),
@@ -84,7 +88,7 @@ class OwnPrior(eqx.Module):
         )
 
     def __call__(
-        self, x: Float[Array, "n dim"], light: Float[Array, "K 3"] | None
+        self, x: Float[Array, "n dim"], light: Float[Array, "K 4"] | None
     ) -> tuple[Float[Array, "S"], Float[Array, "S S"]]:
         """Return mean of ζ and a root of its covariance.
 
@@ -118,7 +122,7 @@ class OwnPrior(eqx.Module):
         """
         middle = np.concatenate([np.ones((len(x), 1)), x.reshape(len(x), -1, 2).mean(axis=1)], axis=1)
         affine = np.linalg.lstsq(middle, own[:, :2], rcond=None)[0]
-        mean, scale = light.mean(axis=0), light.std(axis=0) + 1e-6
+        mean, scale = light.mean(axis=0), np.maximum(light.std(axis=0), _DIM)
         seen = (light - mean) / scale
         centres = seen[_apart(seen, _CENTRES)]
         best: tuple[float, Any] = (np.inf, None)
@@ -192,7 +196,7 @@ class OwnInitialState(AbstractInitialState):
         x: Float[Array, "n dim"],
         dt: Float[Array, ""],
         u: Float[Array, "..."],
-        light: Float[Array, "K 3"] | None = None,
+        light: Float[Array, "K 4"] | None = None,
     ) -> tuple[State, None]:
         """Return the state at frame 0 from all frames."""
         assert isinstance(dynamics, MechanicalDynamics) and isinstance(dynamics.law, ConstrainedLagrangian)
@@ -247,12 +251,14 @@ class OwnInitialState(AbstractInitialState):
 
 def light_of(
     frames: Float[Array, "n H W 3"], background: Float[Array, "H W 3"], keypoints: Float[Array, "n K 2"]
-) -> Float[Array, "K 3"]:
-    """Return the light that each part adds to the background in each channel, a sum over pixels, mean over frames.
+) -> Float[Array, "K 4"]:
+    """Return the light that each part adds to the background: logarithm of its size, and its direction in colours.
 
-        l_k = mean_t Σ_p w_tpk (z_tp − z̄_p) / HW · 100,    w_tpk ∝ exp(−|x_p − x_tk|²/2s²),  Σ_k w_tpk = 1,  s = 0.1
+        a_k = mean_t Σ_p w_tpk (z_tp − z̄_p) / HW · 100,    w_tpk ∝ exp(−|x_p − x_tk|²/2s²),  Σ_k w_tpk = 1,  s = 0.1
+        l_k = (log |a_k|, a_k / |a_k|)
 
-    A sum over the pixels of a part knows its size a hundred times better than one pixel knows its value.
+    A sum over the pixels of a part knows its size a hundred times better than one pixel knows its value. A part of
+    twice the area and the same colour adds twice the light: the logarithm makes one step of this, whatever the colour.
 
     Args:
         frames: z, values in [0, 1].
@@ -264,7 +270,9 @@ def light_of(
     away = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
     near = jax.nn.softmax(-away / (2 * _REACH**2), axis=-1)
     added = frames - background[None]
-    return jnp.mean(jnp.sum(near[..., None] * added[:, :, :, None], axis=(1, 2)), axis=0) * 100 / (height * width)
+    a = jnp.mean(jnp.sum(near[..., None] * added[:, :, :, None], axis=(1, 2)), axis=0) * 100 / (height * width)
+    size = jnp.sqrt(jnp.sum(a**2, axis=1, keepdims=True) + _DARK**2)
+    return jnp.concatenate([jnp.log(size), a / size], axis=1)
 
 
 def _functions(seen: Any, centres: Any, width: Any) -> Array:
