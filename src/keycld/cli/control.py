@@ -72,9 +72,9 @@ def control(
         actuators: Names of the inputs that act; by default all inputs in the model's training data.
         seconds: Duration of each trial.
         trials: Number of random initial states, all at rest; the first trial is timed and shown.
-        seed: Of initial states, noise and random inputs.
+        seed: Seed of initial states, noise and random inputs.
         estimator: The state estimator: predict-correct uses the learned dynamics, differences the last two frames.
-        noise: Deviation of noise on the pictures, as a share of the full range.
+        noise: Standard deviation of noise on the pictures, as a share of the full range.
         drop: Probability that a frame does not arrive.
         out: Folder for the results; by default the run's own.
         workers: Processes that simulate and render, at most four; by default one a core.

@@ -38,10 +38,10 @@ def make(
         protocol: keycld-2022 (arXiv v1) or keycld-2024 (journal version); zoo for the zoo; for toy sets
             priors-released (the configurations behind the published scores) or priors-paper (the text, where it
             differs). Default: keycld-2022, zoo, priors-released.
-        control: Which inputs act: none, under (the second does not), full, or the name of the only one that acts,
+        control: Which inputs act: none, under (all but the second), full, or the name of the only one that acts,
             such as elbow_torque; by default as in the protocol.
         initial_state: rest, random, upright (half of them near that pose, for control that must hold it), released
-            (from rest, anywhere), or moving (anywhere in motion, zoo only); by default as in the protocol.
+            (at rest in any pose), or moving (in any pose and in motion, zoo only); by default as in the protocol.
         clip: Whether the motors limit the input to their range; by default as in the protocol.
         input: constant in each recording, or a random-walk with one value for each frame; by default constant.
         size: full is the published size of the md and room sets, which takes hours; the others have it by default.

@@ -21,18 +21,19 @@ def export(
     out: Path | None = None,
     metres: float | None = None,
 ) -> None:
-    """Take what was learned elsewhere: a MuJoCo model, or the observed keypoint tracks in a format of other programs.
+    """Export what a run has learned: a MuJoCo model, or the observed keypoint tracks in a format of other programs.
 
     Args:
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         to: mjcf: a MuJoCo model with the learned lengths, masses, gravity, springs and friction. mujoco-sysid: that
             model, and the tracks as time series of mujoco.sysid. csv: a table with a row a frame. lerobot: a LeRobot
             data set, v3.0 (extra lerobot).
-        data: Data set whose recordings are observed; by default the one of the training. mjcf needs none.
-        split: Which of its files.
+        data: Data set whose recordings are observed; by default that of the training. mjcf needs none.
+        split: Which of its files: train, validation, test or test_long.
         out: File (mjcf, csv) or folder; by default RUN/export.xml, .csv, or RUN/export-mujoco-sysid, -lerobot; of
             another split than train, RUN/export-SPLIT.csv and so on.
-        metres: Of one image-plane unit; by default metres_per_unit of RUN/evaluation/physics.json, or 1 without it.
+        metres: Metres in one image-plane unit, for mjcf and mujoco-sysid; by default metres_per_unit of
+            RUN/evaluation/physics.json, or 1 without it.
     """
     from keycld.models.base import HasKeypoints, HasLagrangian
     from keycld.training import data_folder, load_run, run_folder

@@ -31,7 +31,7 @@ def identify(
         time: Column of the time in seconds; even steps.
         lengths: Lengths of the links in metres; inertias and torques do not depend on them.
         held: Share of the log at its end that is predicted from its torques and not fitted.
-        out: Folder; evaluation/physics.json is written in it. By default nothing is written.
+        out: Folder in which evaluation/physics.json is written; by default nothing is written.
         json: Print the result as JSON.
     """
     from keycld.data.imports.log import read_log

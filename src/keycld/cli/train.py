@@ -39,7 +39,7 @@ def train(
     given model and preset: `keycld train --model node2 --preset paper --help` shows another one.
 
     Args:
-        data: A system (pendulum, cartpole, acrobot), whose data are made first if they are missing, or the folder of
+        data: A system such as pendulum or zoo/four_bar, whose data are made first if they are missing, or the folder of
             a data set.
         model: Model to train; `keycld models` lists all.
         preset: The whole recipe; by default fast.
@@ -49,7 +49,7 @@ def train(
         coordinator: ADDRESS:PORT of the first of several processes that train one model, also on several machines;
             auto: Slurm, Open MPI or Kubernetes say it. Start the same command in all of them.
         processes: How many processes there are.
-        process: The number of this one, from 0.
+        process: The number of this process, from 0.
         minutes: Shorten the recipe so that its steps take this time on this machine; by default it is taken whole.
         out: Run folder; by default runs/DATA-MODEL-PRESET-SEED.
         constraints: TOML file with keypoints and constraints, or the name of a mechanism (pendulum, double-pendulum,

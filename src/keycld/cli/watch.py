@@ -72,8 +72,8 @@ def watch(
     measured with error bars, and the last third is predicted from its first ten frames. The same command resumes.
 
     Args:
-        clips: Videos of one mechanism by a camera at rest, of 60 frames to some minutes.
-        mechanism: Its name: pendulum, double-pendulum, cart-pole or spring; or a TOML file with keypoints and
+        clips: Videos of one mechanism by a camera at rest, of 60 frames or more; of more than 1,200 some are left out.
+        mechanism: What moves: pendulum, double-pendulum, cart-pole or spring; or a TOML file with keypoints and
             constraints; or auto, which finds it where parts differ in colour. Needed unless --live is given.
         fps: Frames a second with which the camera recorded, where the file states another rate, such as slow motion.
         crop: Part of the picture to keep, a square in pixels of the video; by default what moves.
@@ -90,7 +90,7 @@ def watch(
             with the measured one otherwise.
         out: Run folder; by default runs/CLIP-watch-SEED.
         set: Settings of the preset clip to change, such as vision.steps=1500.
-        seed: Of weights and data order.
+        seed: Seed of weights and data order.
         json: Print the contents of evaluation/physics.json, and everything else on the standard error.
         live: A run folder that keycld watch has made: CLIP is a camera in the same place, such as /dev/video0, or a
             video that is played as one, and a page shows its keypoints now and predicted.

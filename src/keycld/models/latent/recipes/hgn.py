@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
     from keycld.models.latent.hgn import HGN
 
-register_model("hgn", family="latent", title="a Hamiltonian T(p) + V(q) of a latent vector (HGN++ of the second paper)")
+register_model("hgn", family="latent", title="a Hamiltonian T(p) + V(q) of a latent vector, HGN++")
 
 
 @register_preset("released", "hgn")
