@@ -147,9 +147,10 @@ def _with_everything(affine: Fitted, tracks: Tracks, some: slice, kinds: tuple[s
 
     The fit begins from the affine one of all recordings if its error is small, otherwise from nothing; of few
     recordings that it misses from both, because either fit may end anywhere. Where motions have own parameters, it
-    begins from the one potential energy that explains most alone, or hardly less and is simpler: own parameters follow
-    any law a part of the way, and from there no fit of all terms finds the way back. Some anchors with a place for each
-    recording are nearly springs.
+    begins from the one potential energy that explains most alone, or hardly less and is simpler, with viscous friction
+    if this explains more: own parameters follow any law a part of the way, and from there no fit of all terms finds the
+    way back. Some anchors with a place for each recording are nearly springs, and a pendulum without friction loses
+    motions that have some.
     """
     few = tracks[some]
     if tracks.own is not None:
@@ -158,7 +159,9 @@ def _with_everything(affine: Fitted, tracks: Tracks, some: slice, kinds: tuple[s
         alone = [fit_from_nothing(affine.dynamics, each, few) for each in ((), *((kind,) for kind in simplest))]
         best = cheapest(alone)
         near = next((fit for fit in alone if fit.cost <= (1 + WORTH) * best.cost), best)
-        return _fitted_more(near, kinds, few)
+        plain = [kind for kind in PLAIN if kind in kinds and kind not in energies]
+        slowed = fit_from_nothing(affine.dynamics, (*terms_of(lagrangian(near.dynamics)), *plain), few)
+        return _fitted_more(cheapest([near, slowed]), kinds, few)
     fits = []
     if affine.rms > good:
         fits.append(fit_from_nothing(affine.dynamics, kinds, few))
