@@ -217,7 +217,8 @@ def refit(
         other = fit_law(known.dynamics, tracks)
         if sound(other) and not fitted.rms < (_LESS if free_form else 1.0) * other.rms:
             return other, tracks
-    if tried is None or not sound(fitted):
+    # Motions with own parameters that are lost outweigh all others: next to them a law without a term is hardly worse.
+    if tried is None or not sound(fitted) or (tracks.own is not None and lost):
         return fitted, tracks
     if tracks.own is not None:
         fitted = _spared(fitted, tracks, tried.worth)
