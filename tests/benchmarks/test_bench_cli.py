@@ -96,6 +96,7 @@ def test_two_tiny_experiments_from_data_to_page(tmp_path, monkeypatch, capsys):
         (["status", "keycld", "--models", "fcc"], ["did you mean 'fc'"]),
         (["table", "keycld", "--systems", "pendulum,acrobat"], ["did you mean 'acrobot'"]),
         (["status", "keycld", "--seeds", "0,x"], ["whole numbers", "'x'"]),
+        (["run", "keycld", "--seeds", "4294967296"], ["a seed is a number from 0 to", "4294967296"]),
         (["run", "keycld", "--preset", "fats"], ["did you mean 'fast'"]),
         (["run", "keycld", "--together", "0"], ["--together", "at least 1, not 0"]),
         (["run", "keycld", "--together", "2", "--on", "ray"], ["--together", "leave out --on ray"]),

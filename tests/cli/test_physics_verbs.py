@@ -82,7 +82,12 @@ def test_export_needs_data_for_tracks(run, capsys):
     assert "nowhere" in capsys.readouterr().err
 
 
-def test_exported_tracks_name_their_split_and_inputs(run, tmp_path):
+def test_export_looks_for_the_data_before_it_writes_the_model(run, capsys):
+    assert main(["export", str(run), "--to", "mujoco-sysid"]) == 2
+    assert "nowhere" in capsys.readouterr().err and not list(run.iterdir())
+
+
+def test_exported_tracks_name_their_split_and_inputs(run, tmp_path, capsys):
     attributes = {"system": "mine", "dt": 0.1, "input_names": ("motor torque",)}
     (tmp_path / "data").mkdir()
     image, u = np.zeros((2, 3, 16, 16, 3), np.uint8), np.ones((2, 1), np.float32)
@@ -90,3 +95,16 @@ def test_exported_tracks_name_their_split_and_inputs(run, tmp_path):
     assert main(["export", str(run), "--to", "csv", "--split", "test", "--data", str(tmp_path / "data")]) == 0
     head, *rows = (run / "export-test.csv").read_text().splitlines()
     assert head == "recording,time,keypoint_1_x,keypoint_1_y,motor_torque" and len(rows) == 6
+    assert main(["export", str(run), "--to", "csv", "--split", "tset", "--data", str(tmp_path / "data")]) == 2
+    assert "unknown split 'tset'" in (told := capsys.readouterr().err) and "did you mean 'test'?" in told
+
+
+def test_an_export_replaces_no_file_of_the_run(run, capsys):
+    (run / "config.json").write_text("{}")
+    assert main(["export", str(run), "--to", "mjcf", "--out", str(run / "config.json")]) == 2
+    assert (
+        "config.json belongs to what is exported, and stays as it is: choose another --out" in capsys.readouterr().err
+    )
+    assert (run / "config.json").read_text() == "{}"
+    assert main(["export", str(run), "--to", "mjcf", "--out", str(run)]) == 2
+    assert "run is a folder, and stays as it is: name a file with --out" in capsys.readouterr().err

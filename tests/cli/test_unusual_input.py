@@ -1,5 +1,7 @@
 """What people really pass to the command: files of theirs in the way, other encodings, mistyped options."""
 
+import dataclasses
+import json
 import re
 import subprocess
 
@@ -12,7 +14,9 @@ from keycld.data import open_data
 from keycld.data.export.tracks import KeypointTracks, write_time_series
 from keycld.data.imports.log import read_log
 from keycld.drawing import save_movie
+from keycld.models import Scene, config_for
 from keycld.training import data_folder
+from keycld.training.run_files import RunConfig
 
 LOG = ["time,angle,tau", *(f"{k / 100},{np.sin(k / 9):.5f},{np.cos(k / 7):.5f}" for k in range(60))]
 IDENTIFY = ["--mechanism", "pendulum", "--position", "angle", "--input", "tau"]
@@ -95,6 +99,7 @@ def test_the_data_of_a_run_that_was_moved_are_in_it(tmp_path, monkeypatch):
     ("lines", "more", "sentence"),
     [
         (["time;angle;tau", *LOG[1:]], [], "columns of .* are separated by ';': separate them by commas"),
+        (["x" * 200_000, *LOG], [], "cannot be read as CSV .field larger than field limit"),
         (LOG, ["--lengths", "1", "2"], "--lengths are 1 lengths above 0, one a joint, not 1 2"),
         (LOG, ["--lengths", "0"], "--lengths are 1 lengths above 0, one a joint, not 0"),
         ([line if k == 0 else line.rpartition(",")[0] + ",0" for k, line in enumerate(LOG)], [], "torques .* are zero"),
@@ -124,3 +129,12 @@ def test_watch_does_not_write_into_a_run_of_train(clip, tmp_path, capsys):
     words = ["watch", clip, "--mechanism", "pendulum", "--out", tmp_path / "run"]
     assert "is a run of keycld train: choose another --out" in refused(capsys, *words)
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["config.json"]
+
+
+def test_sizes_in_a_damaged_configuration_are_named(tmp_path, capsys):
+    scene = dataclasses.asdict(Scene(-64, 64, 0, 10, 0.1, 4))
+    settings = config_for("keycld", "fast").settings()
+    config = RunConfig("data", None, "mine", "keycld", "fast", settings, 0, scene, (), 0.1, 1, 60.0, "train")
+    (tmp_path / "config.json").write_text(json.dumps(dataclasses.asdict(config)))
+    told = refused(capsys, "export", tmp_path, "--to", "csv")
+    assert "('scene.height' is -64, but must be at least 1): restore it or train again." in told

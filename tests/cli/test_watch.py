@@ -124,6 +124,7 @@ def test_a_video_played_as_a_camera_is_shown_with_its_next_second(place, capsys)
     for change, sentence in (
         (["--port", "70000"], "port 70000 cannot be used"),
         (["--ahead", "0"], "--ahead is a time of 1 to 1000 frames of 0.04 s, not 0.0 s"),
+        (["--ahead", "nan"], "--ahead is a time of 1 to 1000 frames of 0.04 s, not nan s"),
         (["--given", "1"], "--given is a number of frames from 2 to 1000, not 1"),
     ):
         assert main([*live, *change]) == 2
@@ -254,6 +255,7 @@ def _texture():
             "no length pivot-tip is constant in this mechanism: choose from pivot",
         ),
         (["--gravity", "-9.8"], "above 0"),
+        (["--seed", "-1"], "a seed is a number from 0 to 4294967295, not -1"),
         (["--size", "20"], "--size is a positive multiple of 8, not 20"),
         (["--crop", "0", "0", "50", "50"], "--crop 0 0 50 50 does not lie inside"),
     ],

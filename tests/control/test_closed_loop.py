@@ -210,9 +210,11 @@ def test_a_goal_picture_of_another_pose(model):
 def test_configs_out_of_range():
     for wrong, words in (
         ({"estimator": "predict"}, "did you mean 'predict-correct'"),
-        ({"trials": 0}, "--trials is at least 1, not 0"),
-        ({"seconds": 0.0}, "--seconds is a number of at least 0.1, not 0"),
-        ({"seconds": math.inf}, "--seconds is a number of at least 0.1, not inf"),
+        ({"trials": 0}, "--trials is a number from 1 to 10000, not 0"),
+        ({"trials": 10**12}, "--trials is a number from 1 to 10000, not 1000000000000"),
+        ({"seconds": 0.0}, "--seconds is a number from 0.1 to 3600, not 0"),
+        ({"seconds": math.inf}, "--seconds is a number from 0.1 to 3600, not inf"),
+        ({"seconds": 1e30}, r"--seconds is a number from 0.1 to 3600, not 1e\+30"),
     ):
         with pytest.raises(KeycldError, match=words):
             ControlConfig(**wrong)

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+from keycld._errors import KeycldError
 from keycld.data.export.lerobot import write_lerobot
 from keycld.data.export.tracks import KeypointTracks, write_csv, write_time_series
 
@@ -57,3 +58,14 @@ def test_a_lerobot_data_set(tracks, tmp_path):
     np.testing.assert_allclose(table["observation.state"][20], tracks.x[1, 0].reshape(-1), rtol=1e-6)
     episodes = parquet.read_table(tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet").to_pydict()
     assert episodes["dataset_to_index"] == [20, 40, 60] and episodes["tasks"][0] == ["a double pendulum swings"]
+
+
+def test_a_lerobot_data_set_of_something_else_stays(tracks, tmp_path):
+    pytest.importorskip("pyarrow")
+    write_lerobot(tmp_path, tracks, "a double pendulum swings")
+    write_lerobot(tmp_path, tracks, "it swings again")
+    before = {path: path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()}
+    other = KeypointTracks(("cart", "tip"), tracks.x, tracks.u, tracks.dt, tracks.inputs)
+    with pytest.raises(KeycldError, match="holds another LeRobot data set, and stays as it is: choose another --out"):
+        write_lerobot(tmp_path, other, "a cart and its pole")
+    assert all(path.read_bytes() == contents for path, contents in before.items())

@@ -302,6 +302,8 @@ def test_mechanisms_have_names():
     for name in mechanisms():
         constraints = load_constraints(name)
         assert constraints.unknowns and 2 * len(constraints.keypoints) > constraints.count
+    with pytest.raises(KeycldError, match="unknown mechanism or constraints file '': choose from .*pendulum"):
+        load_constraints("")
     with pytest.raises(KeycldError, match="unknown mechanism or constraints file 'pendulun': did you mean 'pendulum'"):
         load_constraints("pendulun")
 

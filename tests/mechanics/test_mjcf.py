@@ -194,3 +194,18 @@ def test_a_force_that_cannot_be_exported_is_refused():
     chosen = law(np.eye(2), items, ("elbow", "tip"), [0, 9.0, 0, 9.0], kinds=("anchors",))
     with pytest.raises(KeycldError, match="'anchors' cannot be exported .*: train with .*--terms springs viscous"):
         to_mjcf(chosen, np.ones(2))
+
+
+@pytest.mark.parametrize("names", [("x_resisted", "x"), ("world", "world_"), ('a "b"', "<ü> & c"), ("t_above", "t")])
+def test_names_of_keypoints_that_a_model_or_its_file_uses(names):
+    """Links with drag have further sites, MuJoCo has a body of its own, and XML has marks of its own."""
+    items = (DistanceToPoint(names[0]), FixedDistance(*names))
+    chosen = law([[1.6, 0.2], [0.2, 0.7]], items, names, [0, 17.0, 0, 9.0], friction=[[0.3, 0.0], [-0.1, 0.25]])
+    model = mujoco.MjModel.from_xml_string(to_mjcf(chosen, np.array([0.25, 0.25])))
+    assert tuple(model.sensor(k).name for k in range(2)) == names
+
+
+def test_a_name_that_xml_cannot_hold_is_refused():
+    chosen = law([[1.0]], (DistanceToPoint("b\x01"),), ("b\x01",), [0.0, 12.0])
+    with pytest.raises(KeycldError, match=r"all characters of the keypoint 'b\\x01': rename it, or export"):
+        to_mjcf(chosen, np.ones(1))

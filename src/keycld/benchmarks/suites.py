@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from keycld._errors import KeycldError, check_minutes, unknown
+from keycld._errors import KeycldError, check_minutes, check_seed, unknown
 from keycld.benchmarks.experiment import DataRecipe, Experiment
 from keycld.benchmarks.published_priors import FORWARD, PRIORS_TITLES
 from keycld.evaluation import Protocol, protocol_named, with_given
@@ -219,10 +219,11 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     """Read seeds such as `0,1,2`.
 
     Raises:
-        KeycldError: a part is not a whole number of at least 0.
+        KeycldError: a part is no seed.
     """
     parts = [part.strip() for part in text.split(",") if part.strip()]
     for part in parts:
         if not part.isdecimal():
             raise KeycldError(f"seeds are whole numbers such as 0,1,2, not '{part}'.")
+        check_seed(int(part))
     return tuple(int(part) for part in parts)

@@ -5,10 +5,14 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from keycld._errors import KeycldError
+from keycld._errors import KeycldError, unknown
 
 if TYPE_CHECKING:
+    from keycld.data import DataSet
     from keycld.models.base import HasKeypoints, HasLagrangian
+
+_ENDINGS = {"mjcf": ".xml", "csv": ".csv"}
+"""Of the targets that are files; the others are folders."""
 
 
 def export(
@@ -46,15 +50,39 @@ def export(
     if not 0 < size < float("inf"):
         raise KeycldError(f"--metres of one image-plane unit is above 0, not {size}.")
     file = "export" if split == "train" or to == "mjcf" else f"export-{split}"
-    ending = {"mjcf": ".xml", "csv": ".csv"}.get(to, f"-{to}")
-    target = out or folder / f"{file}{ending}"
+    target = out or folder / f"{file}{_ENDINGS.get(to, f'-{to}')}"
+    dataset = None if to == "mjcf" else _opened(data or str(data_folder(folder, config.data)), split)
+    _check_target(target, to, [folder] if dataset is None else [folder, dataset.folder])
     if to in ("mjcf", "mujoco-sysid"):
         if not isinstance(model, HasLagrangian) or model.constants is None:
             raise KeycldError(f"the model of {folder} has no law with constant lengths: train with the preset fast.")
         _write_model(model, target if to == "mjcf" else target / "model.xml", size)
-    if to != "mjcf":
-        _write_tracks(model, data or str(data_folder(folder, config.data)), split, to, target, size)
+    if dataset is not None:
+        _write_tracks(model, dataset, split, to, target, size)
     print(f"exported: {target}")
+
+
+def _check_target(target: Path, to: str, folders: list[Path]) -> None:
+    """Refuse a folder in the way of a file and the reverse, before the work, and files of the run or of the data.
+
+    A file with the ending of an export is one of an earlier export.
+    """
+    ending = _ENDINGS.get(to)
+    if target.exists() and target.is_dir() is not (ending is None):
+        kinds = ("a file", "folder") if ending is None else ("a folder", "file")
+        raise KeycldError(f"{target} is {kinds[0]}, and stays as it is: name a {kinds[1]} with --out.")
+    within = any(folder.resolve() in target.resolve().parents for folder in folders)
+    if target.is_file() and target.suffix != ending and within:
+        raise KeycldError(f"{target} belongs to what is exported, and stays as it is: choose another --out.")
+
+
+def _opened(data: str, split: str) -> "DataSet":
+    from keycld.data import open_data
+
+    dataset = open_data(data)
+    if split not in dataset.splits:
+        raise unknown("split", split, dataset.splits, of=str(dataset.folder))
+    return dataset
 
 
 def _write_model(model: "HasLagrangian", path: Path, metres: float) -> None:
@@ -66,15 +94,11 @@ def _write_model(model: "HasLagrangian", path: Path, metres: float) -> None:
     write_text(path, to_mjcf(model.law, np.asarray(model.constants), metres=metres))
 
 
-def _write_tracks(model: "HasKeypoints", data: str, split: str, to: str, target: Path, metres: float) -> None:
-    from keycld.data import open_data
+def _write_tracks(model: "HasKeypoints", dataset: "DataSet", split: str, to: str, target: Path, metres: float) -> None:
     from keycld.data.export.lerobot import write_lerobot
     from keycld.data.export.tracks import write_csv, write_time_series
     from keycld.evaluation import observed_tracks
 
-    dataset = open_data(data)
-    if split not in dataset.splits:
-        raise KeycldError(f"{dataset.folder} has no {split}.h5: choose from {', '.join(dataset.splits)}.")
     tracks = observed_tracks(model, dataset, split)
     if to == "csv":
         write_csv(target, tracks)

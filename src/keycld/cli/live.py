@@ -1,5 +1,6 @@
 """`keycld watch SOURCE --live RUN`: a camera's picture with keypoints and where they will be."""
 
+import math
 import time
 from collections import deque
 from pathlib import Path
@@ -33,7 +34,7 @@ def live(source: Path, run: Path, *, seconds: float, given: int, port: int) -> N
     if not isinstance(model, AbstractKeypointModel):
         raise KeycldError(f"{run} is not a model with keypoints: give the run folder of a keycld watch.")
     data = open_data(data_folder(run, config.data))
-    steps = round(seconds / data.dt)
+    steps = round(seconds / data.dt) if math.isfinite(seconds) else 0
     if not 1 <= steps <= 1000:
         raise KeycldError(f"--ahead is a time of 1 to 1000 frames of {data.dt:.4g} s, not {seconds} s.")
     if not model.context <= given <= 1000:

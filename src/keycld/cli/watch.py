@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from keycld._errors import KeycldError
+from keycld._errors import KeycldError, check_seed
 from keycld._files import write_text
 from keycld._records import read_json
 from keycld.cli.alternatives import (
@@ -108,6 +108,7 @@ def watch(
     from keycld.training import train as train_model
 
     began = time.monotonic()
+    check_seed(seed)
     if not clips:
         raise KeycldError("name at least one video: keycld watch swing.mp4 --mechanism pendulum.")
     if live is not None:

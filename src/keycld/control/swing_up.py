@@ -1,7 +1,6 @@
 """One call from a trained model to a controlled system: goal, state estimator, controller, closed loop, scores."""
 
 import dataclasses
-import math
 from collections.abc import Callable
 from typing import Any
 
@@ -22,6 +21,8 @@ from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian
 from keycld.systems import AbstractMujocoSystem, AbstractSystem
 
 ESTIMATORS = ("predict-correct", "differences")
+# Seconds of a trial, and trials: all frames of all trials are kept in memory.
+_LONGEST, _MOST = 3600, 10_000
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,10 +56,10 @@ class ControlConfig:
         """Check names and numbers."""
         if self.estimator not in ESTIMATORS:
             raise unknown("state estimator", self.estimator, ESTIMATORS)
-        if not 0.1 <= self.seconds < math.inf:
-            raise KeycldError(f"--seconds is a number of at least 0.1, not {self.seconds:g}.")
-        if self.trials < 1:
-            raise KeycldError(f"--trials is at least 1, not {self.trials}.")
+        if not 0.1 <= self.seconds <= _LONGEST:
+            raise KeycldError(f"--seconds is a number from 0.1 to {_LONGEST}, not {self.seconds:g}.")
+        if not 1 <= self.trials <= _MOST:
+            raise KeycldError(f"--trials is a number from 1 to {_MOST}, not {self.trials}.")
         check_seed(self.seed)
 
     def as_dict(self) -> dict[str, Any]:

@@ -45,6 +45,8 @@ def load_constraints(path: str | Path) -> Constraints:
     if (name := str(path)) in mechanisms() and not Path(path).is_file():
         text = resources.files(_MECHANISMS).joinpath(f"{name}.toml").read_text(encoding="utf-8")
         return parse_constraints(text, f"the mechanism {name}")
+    if not name:
+        raise unknown("mechanism or constraints file", name, mechanisms())
     try:
         return parse_constraints(read_text(Path(path)), f"the constraints file {path}")
     except FileNotFoundError:

@@ -1,6 +1,7 @@
 """An identified chain as a MuJoCo model."""
 
 import dataclasses
+from typing import NamedTuple
 from xml.etree import ElementTree
 
 import jax.numpy as jnp
@@ -31,7 +32,7 @@ _STRAY = 0.05
 
 @dataclasses.dataclass
 class _Part:
-    """A rigid body: its mass, centre along the link and inertia about it; its joint; the point that is resisted."""
+    """A rigid body: mass, centre along the link, inertia about it; its joint; name and place of what is resisted."""
 
     name: str
     joint: Joint
@@ -43,7 +44,15 @@ class _Part:
     loss: float = 0.0
     stiffness: float = 0.0
     rest: float = 0.0
-    resisted: float | None = None
+    resisted: tuple[str, float] | None = None
+
+
+class _Elements(NamedTuple):
+    """The world and the tendons of a model, and the names of its sites."""
+
+    world: ElementTree.Element
+    tendons: ElementTree.Element
+    sites: set[str]
 
 
 def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, metres: float = 1.0) -> str:
@@ -60,7 +69,7 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
         metres: of one image-plane unit.
 
     Raises:
-        KeycldError: the mechanism is no open chain, or a force cannot be exported.
+        KeycldError: the mechanism is no open chain, or a force or the name of a keypoint cannot be exported.
     """
     constraint = law.constraint_function
     try:
@@ -72,6 +81,12 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
             "--to csv."
         ) from error
     assert isinstance(constraint, Constraints)
+    for name in constraint.keypoints:
+        if not name.isprintable():
+            raise KeycldError(
+                f"XML has no place for all characters of the keypoint {name!r}: rename it, or export the keypoints "
+                "with --to csv."
+            )
     values = np.asarray(constants, float)
     known = iter(lengths_of(constraint, jnp.asarray(constants)).values())
     lengths = [0.0 if joint.slide else metres * float(next(known)) for joint in joints]
@@ -94,7 +109,7 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
     world = ElementTree.SubElement(root, "worldbody")
     tendons, sensors = ElementTree.Element("tendon"), ElementTree.Element("sensor")
     _springs(law, parts, unit, metres)
-    _friction(law, parts, joints, unit, (world, tendons))
+    _friction(law, parts, joints, unit, _Elements(world, tendons, set(constraint.keypoints)))
     bodies: dict[int, ElementTree.Element] = {}
     for k, (part, joint) in enumerate(zip(parts, joints, strict=True)):
         parent = world if joint.parent is None else bodies[joint.parent]
@@ -105,7 +120,9 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
             place = metres * np.array(joint.place)
         else:
             place = np.array([0.0, -near.length])
-        bodies[joint.keypoint] = _body(parent, part, place)
+        # MuJoCo keeps one name of a body for itself.
+        name = _free_name("world", {"world", *constraint.keypoints}) if part.name == "world" else part.name
+        bodies[joint.keypoint] = _body(parent, part, name, place)
         ElementTree.SubElement(sensors, "framepos", name=part.name, objtype="site", objname=part.name)
     root.extend([each for each in (tendons, sensors) if len(each)])
     ElementTree.indent(root)
@@ -237,7 +254,7 @@ def _friction(
     parts: list[_Part],
     joints: tuple[Joint, ...],
     unit: float,
-    elements: tuple[ElementTree.Element, ElementTree.Element],
+    elements: _Elements,
 ) -> None:
     """Put friction on joints, and on tendons where it acts on absolute motion."""
     terms = terms_of(law)
@@ -257,7 +274,7 @@ def _friction(
             combined = np.zeros(len(joints))
             for k, share in zip(links, row, strict=True):
                 combined[chains[k]] += share
-            _turning(parts, elements[1], combined, strength)
+            _turning(parts, elements.tendons, combined, strength)
     dry = terms.get("coulomb")
     if isinstance(dry, CoulombFriction):
         if len(parts) > 1:
@@ -275,7 +292,7 @@ def _drag(
     joints: tuple[Joint, ...],
     parts: list[_Part],
     chain: list[int],
-    elements: tuple[ElementTree.Element, ElementTree.Element],
+    elements: _Elements,
 ) -> None:
     """Give the friction of keypoint k to its joint and link, and take it from the matrix; from the tip inward.
 
@@ -291,7 +308,7 @@ def _drag(
         return
     beside = float(matrix[joint.keypoint, joint.parent])
     if -own * (1 + 1e-3) <= beside <= 0:
-        _turning(parts, elements[1], chain, -beside * part.length**2)
+        _turning(parts, elements.tendons, chain, -beside * part.length**2)
         matrix[joint.parent, joint.parent] += beside
         _resisted(part, elements, own + beside, 1.0)
     elif own > 0:
@@ -332,32 +349,39 @@ def _turning(parts: list[_Part], tendons: ElementTree.Element, chain: list[int] 
         ElementTree.SubElement(tendon, "joint", joint=parts[k].name, coef=_text(shares[k]))
 
 
-def _resisted(
-    part: _Part, elements: tuple[ElementTree.Element, ElementTree.Element], damping: float, place: float
-) -> None:
+def _resisted(part: _Part, elements: _Elements, damping: float, place: float) -> None:
     """Add dampers from a point on a link's line to points far away, to the right and above: friction in any direction.
 
     Args:
         part: the link.
-        elements: of the world and of tendons.
+        elements: where they go.
         damping: of the point.
         place: of the point, 0 at the near end and 1 at the far end.
     """
     if damping < 1e-9:
         return
-    world, tendons = elements
-    part.resisted = place * part.length
+    world, tendons, taken = elements
+    resisted = _free_name(f"{part.name}_resisted", taken)
+    part.resisted = resisted, place * part.length
     for name, (right, above) in (("right", (1.0, 0.0)), ("above", (0.0, 1.0))):
-        site = f"{part.name}_{name}"
+        site = _free_name(f"{part.name}_{name}", taken)
         far = _FAR * part.length * max(1.0, abs(place))
         ElementTree.SubElement(world, "site", name=site, pos=_text(far * right, 0.0, far * above))
         tendon = ElementTree.SubElement(tendons, "spatial", damping=_text(damping))
         ElementTree.SubElement(tendon, "site", site=site)
-        ElementTree.SubElement(tendon, "site", site=f"{part.name}_resisted")
+        ElementTree.SubElement(tendon, "site", site=resisted)
 
 
-def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> ElementTree.Element:
-    body = ElementTree.SubElement(parent, "body", name=part.name, pos=_text(place[0], 0.0, place[1]))
+def _free_name(name: str, taken: set[str]) -> str:
+    """Return a name with underscores added until no keypoint and no other site has it, and take it."""
+    while name in taken:
+        name += "_"
+    taken.add(name)
+    return name
+
+
+def _body(parent: ElementTree.Element, part: _Part, name: str, place: np.ndarray) -> ElementTree.Element:
+    body = ElementTree.SubElement(parent, "body", name=name, pos=_text(place[0], 0.0, place[1]))
     kind = {"type": "slide", "axis": _text(part.joint.place[0], 0.0, part.joint.place[1])}
     if not part.joint.slide:
         kind = {"type": "hinge", "axis": "0 -1 0"}
@@ -375,7 +399,8 @@ def _body(parent: ElementTree.Element, part: _Part, place: np.ndarray) -> Elemen
     tip = _text(0.0, 0.0, -part.length)
     ElementTree.SubElement(body, "site", name=part.name, pos=tip)
     if part.resisted is not None:
-        ElementTree.SubElement(body, "site", name=f"{part.name}_resisted", pos=_text(0.0, 0.0, -part.resisted))
+        resisted, below = part.resisted
+        ElementTree.SubElement(body, "site", name=resisted, pos=_text(0.0, 0.0, -below))
     look = {"type": "sphere", "size": "0.05", "contype": "0", "conaffinity": "0", "mass": "0"}
     if part.length:
         look |= {"type": "capsule", "fromto": f"0 0 0 {tip}", "size": _text(0.02 * part.length)}

@@ -148,14 +148,19 @@ def parse_config(path: Path) -> RunConfig:
             config = config_for(saved["model"], saved["preset"])
             settings = config.changed(config.migrated(saved["settings"], version)).settings()
             saved = {**saved, "settings": settings, "schema_version": SCHEMA_VERSION}
-        checked(saved["scene"], Scene, "scene")
+        scene = checked(saved["scene"], Scene, "scene")
+        for name in ("height", "width", "frames", "trajectories"):
+            if getattr(scene, name) < 1:
+                raise ValueError(f"'scene.{name}' is {getattr(scene, name)}, but must be at least 1")
         return checked({**saved, "input_names": tuple(saved["input_names"])}, RunConfig)
     except FileNotFoundError:
         raise KeycldError(f"there is no file {path}: check the path.") from None
     except KeycldError:
         raise
     except (AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise KeycldError(f"{path} is not a configuration of this version of keycld: {error}.") from error
+        raise KeycldError(
+            f"{path} is not a configuration of this version of keycld ({error}): restore it or train again."
+        ) from error
 
 
 def _from_schema_1(saved: dict[str, Any]) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from keycld._errors import KeycldError
 from keycld._files import make_folder, replacing, write_text
+from keycld._records import read_json
 from keycld.data.export.tracks import KeypointTracks
 
 _PARQUET = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -26,7 +27,8 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
         task: one sentence on what is seen.
 
     Raises:
-        KeycldError: pyarrow is missing, which writes Parquet files, or the rate is no whole number.
+        KeycldError: pyarrow is missing, which writes Parquet files, the rate is no whole number, or the folder holds
+            a data set of something else.
     """
     arrow = _pyarrow()
     fps = 1 / tracks.dt
@@ -45,6 +47,8 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
     episode = np.repeat(np.arange(count), length)
     columns |= {"timestamp": (frame / round(fps)).astype(np.float32)}
     columns |= dict(zip(_INDICES, (frame, episode, np.arange(count * length), np.zeros_like(frame)), strict=True))
+    info = _info(columns, names, count, length, round(fps))
+    _refuse_other(folder, info["features"])
     _write(arrow, folder / "data" / _PARQUET.format(chunk_index=0, file_index=0), _table(arrow, columns))
     _write(arrow, folder / "meta" / "tasks.parquet", _tasks(arrow, task))
     episodes = {
@@ -61,9 +65,14 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
     _write(arrow, folder / "meta" / "episodes" / _PARQUET.format(chunk_index=0, file_index=0), arrow.table(episodes))
     statistics = {name: _statistics(values) for name, values in columns.items()}
     write_text(folder / "meta" / "stats.json", json.dumps(statistics, indent=1) + "\n")
-    write_text(
-        folder / "meta" / "info.json", json.dumps(_info(columns, names, count, length, round(fps)), indent=1) + "\n"
-    )
+    write_text(folder / "meta" / "info.json", json.dumps(info, indent=1) + "\n")
+
+
+def _refuse_other(folder: Path, features: dict[str, Any]) -> None:
+    """Refuse a folder with a data set of other features: its files would be mixed with these."""
+    path = folder / "meta" / "info.json"
+    if path.exists() and read_json(path, dict[str, Any], f"delete {folder}").get("features") != features:
+        raise KeycldError(f"{folder} holds another LeRobot data set, and stays as it is: choose another --out.")
 
 
 def _info(

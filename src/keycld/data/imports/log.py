@@ -40,14 +40,18 @@ def read_log(path: str | Path, positions: tuple[str, ...], inputs: tuple[str, ..
         time: that with the time in seconds.
 
     Raises:
-        KeycldError: no such file or column, a column named twice, a value that is no number, too few rows, or uneven
-            times.
+        KeycldError: no such file or column, no CSV, a column named twice, a value that is no number, too few rows, or
+            uneven times.
     """
     path = Path(path)
     try:
         rows = list(csv.reader(read_text(path).rstrip().splitlines()))
     except FileNotFoundError as error:
         raise KeycldError(f"there is no log {path}: check the path.") from error
+    except csv.Error as error:
+        raise KeycldError(
+            f"{path} cannot be read as CSV ({error}): check the path, or export the log again."
+        ) from error
     names = [name.strip() for name in rows[0]] if rows else []
     columns, wanted = [], (time, *positions, *inputs)
     if twice := next((name for name in wanted if wanted.count(name) > 1 or names.count(name) > 1), None):
