@@ -159,9 +159,11 @@ def _with_everything(affine: Fitted, tracks: Tracks, some: slice, kinds: tuple[s
         alone = [fit_from_nothing(affine.dynamics, each, few) for each in ((), *((kind,) for kind in simplest))]
         best = cheapest(alone)
         near = next((fit for fit in alone if fit.cost <= (1 + WORTH) * best.cost), best)
-        plain = [kind for kind in PLAIN if kind in kinds and kind not in energies]
-        slowed = fit_from_nothing(affine.dynamics, (*terms_of(lagrangian(near.dynamics)), *plain), few)
-        return _fitted_more(cheapest([near, slowed]), kinds, few)
+        friction = tuple(kind for kind in PLAIN if kind in kinds and kind not in energies)
+        if friction:
+            energy = tuple(terms_of(lagrangian(near.dynamics)))
+            near = cheapest([near, fit_from_nothing(affine.dynamics, energy + friction, few)])
+        return _fitted_more(near, kinds, few)
     fits = []
     if affine.rms > good:
         fits.append(fit_from_nothing(affine.dynamics, kinds, few))
