@@ -130,7 +130,7 @@ class OwnPrior(eqx.Module):
             values = np.stack([np.asarray(_functions(each, centres, width)) for each in seen])
             for ridge in _RIDGES:
                 fitted, left_out = _ridge(values, own[:, 2:], ridge)
-                # Of a mean, the number that cannot be seen would be the largest part, and decide how well the others are.
+                # The largest part of a mean would be a number that cannot be seen, and decide how well others are.
                 error = float(np.sum(np.log(np.mean(left_out**2, axis=0) + _LEAST**2)))
                 if error < best[0]:
                     best = error, (width, fitted, left_out)
