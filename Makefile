@@ -4,7 +4,7 @@ BIN := .venv/bin
 # Packages come without byte code; kept after the first use, or each of many processes compiles them anew, for 6 s.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test lint bench clean
+.PHONY: setup demo test test-slow lint bench clean
 
 setup: .venv/dev
 
@@ -27,10 +27,12 @@ setup: .venv/dev
 demo: .venv/ready
 	$(BIN)/keycld demo
 
-test: setup
-	sh scripts/system_packages.sh test
 # Whole files, in the order of tests/conftest.py: it has the few long ones first.
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+test: MARKED = not slow
+test-slow: MARKED = slow
+test test-slow: setup
+	sh scripts/system_packages.sh test
+	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m "$(MARKED)"
 
 lint: setup
 	$(BIN)/ruff check

@@ -32,6 +32,7 @@ def outputs(notebook):
     return [[output["output_type"] for output in cell.get("outputs", [])] for cell in notebook["cells"]]
 
 
+@pytest.mark.slow
 def test_the_committed_notebook_is_that_of_the_example(walk):
     committed = json.loads(EXAMPLE.with_suffix(".ipynb").read_text())
     told = "the notebook is out of date: python scripts/notebook.py examples/inside_a_model.py"
@@ -41,6 +42,7 @@ def test_the_committed_notebook_is_that_of_the_example(walk):
     assert EXAMPLE.with_suffix(".ipynb").stat().st_size < 300_000
 
 
+@pytest.mark.slow
 def test_what_it_shows_is_true(walk):
     names = walk[1]
     # V of the stretched arm that turns once is that of gravity, V(π) (1 − cos) / 2.

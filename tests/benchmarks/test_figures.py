@@ -184,6 +184,7 @@ def test_figs_9_and_10_share_one_vertical_span_and_show_v_from_its_middle():
     assert [each.figure.axes[1].get_xlabel() for each in (rotation, cart)] == ["angle, degrees", "position, m"]
 
 
+@pytest.mark.slow
 def test_results_alone_give_the_errors(place, tmp_path):
     bare = Place(tmp_path, tmp_path / "results")
     shutil.copytree(place.results, bare.results)

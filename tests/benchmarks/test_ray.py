@@ -42,6 +42,7 @@ def parent(pid):
     return int(Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[1])
 
 
+@pytest.mark.slow
 def test_only_the_rest_is_run_after_a_worker_and_the_driver_are_killed(place):  # noqa: F811
     pytest.importorskip("ray")
     behave(place, pendulum_keycld_1="hang", pendulum_keycld_2="raise")

@@ -97,6 +97,7 @@ def test_a_failure_is_recorded_and_the_other_experiments_are_done(place):
     assert not list(place.results.rglob("*.failed.json"))
 
 
+@pytest.mark.slow
 def test_experiments_that_train_together_succeed_fail_and_die_by_themselves(place):
     """Two at a time, in one process: one fails, the other does not care; a killed process is repeated."""
     behave(place, pendulum_keycld_0="raise", pendulum_keycld_2="kill")

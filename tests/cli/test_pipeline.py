@@ -58,6 +58,7 @@ def place(tmp_path_factory, trained):
     return shutil.copytree(trained, tmp_path_factory.mktemp("pipeline"), dirs_exist_ok=True)
 
 
+@pytest.mark.slow
 def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(here, place):
     """kill -9 as soon as there is a checkpoint in the middle of the last stage; the same command resumes.
 

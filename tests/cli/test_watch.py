@@ -89,6 +89,7 @@ def test_the_same_command_resumes_and_other_clips_need_another_run(place, capsys
     assert "is of other fps: choose another --out" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_video_played_as_a_camera_is_shown_with_its_next_second(place, capsys):
     """At the video's speed: 66 frames of 25 a second, of which a browser that is there from the start sees most."""
     with socket.socket() as free:
@@ -281,6 +282,7 @@ def test_units_of_a_length(tmp_path):
     assert measured_by_hand(scale, 9.81) == {"length_pivot_ball_m": pytest.approx(0.31), "gravity_m": 9.81}
 
 
+@pytest.mark.slow
 def test_a_clip_that_no_network_learns_is_measured_on_the_middles_of_its_parts(tmp_path, capsys, monkeypatch):
     """A disc on a circle of 24 pixels, hanging: by a network that eight steps teach nothing."""
     video(tmp_path / "swing.mp4", swing(150))

@@ -31,6 +31,7 @@ def in_mujoco(known, controller, state, seconds, limit):
     return np.array(states), np.array(inputs), memory
 
 
+@pytest.mark.slow
 def test_a_motor_too_weak_to_lift_swings_the_pendulum_up():
     """|u| ≤ 1 is 2 N m, gravity needs 4.9: the plan must swing. It hangs at first."""
     known = truth("pendulum")
@@ -41,6 +42,7 @@ def test_a_motor_too_weak_to_lift_swings_the_pendulum_up():
     assert np.abs(memory.plan.u).max() <= 0.95 + 1e-6
 
 
+@pytest.mark.slow
 def test_the_elbow_alone_swings_the_acrobot_up():
     """One motor, two links, ±6 N m against 20 N m of gravity; upright it can lean by 7° and be caught."""
     known = truth("acrobot")

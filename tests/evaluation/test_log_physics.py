@@ -81,6 +81,7 @@ def driven(path, acceleration, positions):
     return read_log(path, positions, ("force",))
 
 
+@pytest.mark.slow
 def test_a_cart_with_a_pole(tmp_path):
     """A slide has no weight, and units of its own."""
     cart, bob, length, b, c = 1.2, 0.3, 0.5, 0.8, 0.01

@@ -157,6 +157,7 @@ def motion(seed):
     )
 
 
+@pytest.mark.slow
 def test_a_new_motion_is_within_its_fan_as_often_as_it_says(measured):
     fans = [with_fan(motion(seed), measured.estimate, np.zeros(0)) for seed in range(12)]
     within = {share: np.mean([fan.scores["within"][share] for fan in fans]) for share in ("68", "95")}

@@ -98,6 +98,7 @@ def test_slopes_of_the_cost_are_its_derivatives_for_inputs_of_any_kind(held):
     np.testing.assert_allclose(slope[4:], exact, atol=0.01 * float(jnp.linalg.norm(exact)))
 
 
+@pytest.mark.slow
 def test_a_common_factor_of_masses_and_forces_has_no_curvature_in_a_chaotic_motion():
     """What θ changes of a double pendulum's motion, next to its initial state, is a small part of the sums of squares.
 

@@ -113,6 +113,7 @@ def guess(seen, dynamics):
     return Own(numbers, numbers, jnp.diag(jnp.array([0.003, 0.003, 0.002, 0.002]) ** 2))
 
 
+@pytest.mark.slow
 def test_a_fit_recovers_places_and_masses_from_noisy_tracks(oscillations):
     """Ratios of masses to a per cent in the median, places to an observation error or two; so is the stiffness."""
     place, mass, paths, seen = oscillations

@@ -105,6 +105,7 @@ def test_a_pendulum_shows_where_its_pivot_is_and_how_it_is_tilted():
         assert float(jnp.sqrt(jnp.mean((fitted.paths - paths) ** 2))) < 0.5 * NOISE
 
 
+@pytest.mark.slow
 def test_a_cart_on_a_tilted_rail_that_carries_a_pendulum():
     """The rail falls by 15°, and nobody says so; its direction is found within half a degree."""
     tilt = np.deg2rad(-15.0)

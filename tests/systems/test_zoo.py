@@ -193,6 +193,7 @@ def test_states_are_integrals_of_their_derivatives(name, monkeypatch):
     np.testing.assert_allclose(run.state, finer.state, atol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_motions_stay_in_the_picture_and_can_be_followed(name):
     system = get(name)

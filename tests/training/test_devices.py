@@ -52,6 +52,7 @@ print(json.dumps([found[1], found[4], resumed, losses(made / "whole"), last, ref
 """
 
 
+@pytest.mark.slow
 def test_several_devices_give_the_losses_of_one(tmp_path, trained):
     """In a process of its own, where the processor stands for four devices."""
     here = {"PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")])}

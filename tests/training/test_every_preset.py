@@ -22,7 +22,11 @@ SMALL = {
 
 Adaptive integration compiles for many seconds, so one test of its own is enough: that of its gradient.
 """
-EVERY = [(name, preset) for name, entry in models().items() for preset in entry.presets]
+EVERY = [
+    pytest.param(name, preset, marks=() if preset == "fast" else pytest.mark.slow)
+    for name, entry in models().items()
+    for preset in entry.presets
+]
 
 
 def smallest(config):

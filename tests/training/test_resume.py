@@ -117,6 +117,7 @@ def test_a_stage_that_fails_begins_again_with_other_weights_three_times_at_most(
         load_run(tmp_path / "run")
 
 
+@pytest.mark.slow
 def test_a_stage_as_short_as_the_trials_of_its_candidates_is_judged(whole, tmp_path, monkeypatch):
     # One program for the five steps of a trial and the one that is left.
     monkeypatch.setattr(loop, "STEPS_PER_DISPATCH", 1)
@@ -309,6 +310,7 @@ def test_a_latent_model_of_schema_7_learned_pictures_from_motions():
     assert config.migrated(config.settings(), 8) == config.settings()
 
 
+@pytest.mark.slow
 def test_a_model_that_grew_is_resumed_and_loaded(whole, monkeypatch):
     """With springs that the settings do not name: the checkpoint does."""
     # Nothing is dropped at the end.

@@ -56,6 +56,7 @@ def losses(run):
     return [json.loads(line)["loss"] for line in (run / "metrics.jsonl").read_text().splitlines() if "loss" in line]
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_losses_of_one(tmp_path, trained):
     """One of them writes; its checkpoints resume in one process, and those of one process in two."""
     copy = tmp_path / "keycld"

@@ -90,6 +90,7 @@ def test_terms_that_do_not_act_are_dropped_at_the_end(capsys):
     assert set(terms_of(left.law)) == {"springs"} and "affine V, springs;" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("takes", "found"), [(True, {"springs", "viscous"}), (False, {"springs", "drag"})])
 def test_forces_that_explain_no_more_give_way_to_a_spring_and_viscous_friction(monkeypatch, takes, found):
     """x'' = −16 x − 0.5 x', where the judgement has left another friction than the one that acts."""
@@ -159,6 +160,7 @@ def test_one_compiled_fit_serves_laws_with_some_of_the_forces(monkeypatch):
     np.testing.assert_array_equal(kept.dynamics.law.potential.terms["springs"].stiffness, right)
 
 
+@pytest.mark.slow
 def test_a_potential_of_free_form_gives_way_to_a_spring_that_explains_as_much(capsys):
     """x'' = −16 x: errors of earlier keypoints may have hidden the spring."""
     phase, size = np.linspace(0, 6, 12)[:, None], np.linspace(0.2, 0.6, 12)[:, None]
@@ -286,6 +288,7 @@ def test_singular_constraints_end_the_training_with_a_sentence(monkeypatch):
         prepare.identify_dynamics(model, data)
 
 
+@pytest.mark.slow
 def test_more_frames_may_show_another_friction():
     """x'' = −16 x − 0.5 x', where a few frames had been explained by dry friction."""
     phase, size = np.linspace(0, 6, 6)[:, None], np.linspace(0.2, 0.6, 6)[:, None]

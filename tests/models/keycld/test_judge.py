@@ -87,6 +87,7 @@ def test_a_law_that_misses_the_motion_does_not_pass_because_keypoints_leave_thei
     assert "no law was found" in judged(0.0, swings(20.0, 0.02) + away)
 
 
+@pytest.mark.slow
 def test_a_single_recording_with_a_push_in_the_middle_is_judged_in_halves(judged, capsys):
     """No initial state of the right law explains the whole, in which it stops and begins again elsewhere."""
     time = DT * np.arange(2 * FRAMES)

@@ -4,6 +4,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from keycld.data import Clip, RandomFrames, Resident
 from keycld.models import Scene, config_for
@@ -63,6 +64,7 @@ def test_a_frame_is_rendered_with_the_looks_of_the_other(getkey):
     np.testing.assert_allclose(terms["reconstruction"], expected, rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_looks_are_learned_in_all_stages(getkey):
     model = model_with_looks()
     clip = clip_of(jax.random.uniform(getkey(), (4, 16, 16, 3)))
