@@ -95,6 +95,7 @@ def test_a_lost_file_is_made_again(at_once, tmp_path):
     assert "test.h5 has changed" in problem
 
 
+@pytest.mark.slow
 def test_a_kill_loses_one_part_and_nothing_else(folder, at_once, capfd):
     call = f"from keycld.data import open_data; open_data({str(folder)!r}).path('test_long')"
     process = subprocess.Popen([sys.executable, "-c", call])

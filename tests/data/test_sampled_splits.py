@@ -3,6 +3,7 @@
 import pytest
 
 from keycld import KeycldError
+from keycld.data.generate.protocols import splits
 from keycld.data.generate.sampled import sampled_parts, sampled_recipe, sampled_splits
 from keycld.systems import AbstractSampledSystem, get, names
 
@@ -46,3 +47,15 @@ def test_parts_of_the_work_share_no_simulation(name, runs, tmp_path):
     assert sum(len(each) for each in numbers) == sum(len(split) for split in sampled_splits(system, runs=runs))
     held = [{number // system.related("default") for number in each} for each in numbers]
     assert sum(len(each) for each in held) == len(set().union(*held))
+
+
+def test_the_long_test_of_a_small_set_is_small():
+    def numbers(plan):
+        return {split.name: len(split) for split in plan}
+
+    pendulum = get("toy/pendulum")
+    assert numbers(sampled_splits(pendulum, runs={"test": 2}))["test_long"] == 2
+    assert numbers(sampled_splits(pendulum, runs={"test": 500}))["test_long"] == 200
+    assert numbers(sampled_splits(pendulum, runs={"test": 2, "test_long": 3}))["test_long"] == 3
+    plan = splits("keycld-2022", runs={"test": 2})
+    assert {split.name: split.seeds[1] - split.seeds[0] for split in plan}["test_long"] == 2

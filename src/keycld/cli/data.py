@@ -49,7 +49,7 @@ def make(
         train: Recordings for training, for a smaller set; for toy, games, md and room with those for validation.
         validation: Recordings for validation.
         test: Recordings for the test.
-        long: Recordings of the long test.
+        long: Recordings of the long test; by default no more than of the test.
         all: Make all files now; by default test_long.h5 of a mechanism in MuJoCo is made when it is first needed,
             for example by keycld eval.
         workers: Renderer processes, at most four; by default one a core.

@@ -69,7 +69,8 @@ def make_data(
         size: "full" is the published size; "default" is smaller where that takes hours (`docs/datasets.md`).
         store: "states", rendered when they are read, or "images"; by default states wherever a picture is a function
             of the state.
-        runs: numbers of runs by split, for small sets: `{"train": 2, "test": 1}`.
+        runs: numbers of runs by split, for small sets: `{"train": 2, "test": 1}`. By default test_long has no more of
+            them than test.
         frames: numbers of frames of a run by split.
         all: make test_long of a system with motors now too.
         workers: renderer processes, at most four; by default one a core.

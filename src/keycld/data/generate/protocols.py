@@ -84,7 +84,7 @@ def splits(
     )
     zoo = protocol == "zoo"
     undriven = Conditions(control="none", initial_state="moving" if zoo else "released", clip=conditions.clip)
-    counts = with_numbers(_RUNS, runs, dict.fromkeys(_RUNS, 1), "recordings")
+    counts = recording_counts(_RUNS, runs, dict.fromkeys(_RUNS, 1))
     first = dict(_FIRST_SEED)
     for number, (name, following) in enumerate(itertools.pairwise(_FIRST_SEED)):
         if counts[name] > _FIRST_SEED[following] - _FIRST_SEED[name]:
@@ -101,6 +101,19 @@ def splits(
         )
         for name in _RUNS
     )
+
+
+def recording_counts(
+    usual: Mapping[str, int], given: Mapping[str, int] | None, least: Mapping[str, int], of: str = ""
+) -> dict[str, int]:
+    """Return numbers of recordings by split, as `with_numbers`; of the long test no more than of the test.
+
+    A small set is made quickly only if it has few long recordings too.
+    """
+    counts = with_numbers(usual, given, least, "recordings", of)
+    if "test_long" in counts and "test_long" not in (given or {}):
+        counts["test_long"] = min(counts["test_long"], counts["test"])
+    return counts
 
 
 def with_numbers(

@@ -13,7 +13,7 @@ from keycld._version import __version__
 from keycld.data.format.trajectories import Trajectories
 from keycld.data.format.writing import write
 from keycld.data.generate.parts import Part
-from keycld.data.generate.protocols import with_numbers
+from keycld.data.generate.protocols import recording_counts, with_numbers
 from keycld.systems import AbstractRenderedSystem, AbstractSampledSystem, Task
 
 Store = Literal["states", "images"]
@@ -62,7 +62,7 @@ def sampled_splits(
     if size not in system.counts:
         raise unknown("size", size, system.counts)
     usual = system.counts[size]
-    counts = with_numbers(usual, runs, dict.fromkeys(usual, 1) | {"train": 2}, "recordings", system.name)
+    counts = recording_counts(usual, runs, dict.fromkeys(usual, 1) | {"train": 2}, system.name)
     lengths = {name: _FRAMES[name] for name in usual}
     lengths = with_numbers(lengths, frames, dict.fromkeys(usual, 3), "frames", system.name)
     kept = _border(system, size, counts["train"])
