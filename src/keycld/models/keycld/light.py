@@ -31,11 +31,13 @@ from keycld.models.keycld.judge import judge_dynamics, judge_trained, judge_visi
 from keycld.models.keycld.losses import PredictionLoss, SmoothedLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import NODE2, AbstractKeypointModel, KeyCLD
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
+from keycld.models.keycld.part_light import PartLight
 from keycld.models.keycld.prepare import (
     cache_keypoints,
     fit_dynamics,
     identify_dynamics,
     measure_own_prior,
+    measure_part_light,
     measure_statistics,
     measure_velocity_prior,
     name_keypoints,
@@ -108,6 +110,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         renderer=renderer,
         initial_state=_initial_state(config),
         velocity_prior=VelocityPrior.unknown() if config.velocity_prior and not config.own_parameters else None,
+        part_light=PartLight.unknown(scene.height, scene.width) if config.own_parameters else None,
         exchange=bool(config.exchange),
     )
 
@@ -236,6 +239,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         dynamics = _gradient_stage(second, clips)
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
+        if config.own_parameters:
+            identify = sequence(measure_part_light, identify)
         judge = functools.partial(judge_dynamics, worst=worst, small=_SMALL, tried=config.tried)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge

@@ -18,9 +18,9 @@ from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Rever
 from keycld.models.checks import check_inputs, check_size
 from keycld.models.keycld.exchange import arranged, fitting_order
 from keycld.models.keycld.initial_state import AbstractInitialState
-from keycld.models.keycld.own_initial_state import OwnInitialState, light_of
+from keycld.models.keycld.part_light import PartLight
 from keycld.models.keycld.velocity_prior import VelocityPrior
-from keycld.vision import AbstractEstimator, AbstractRenderer, Observation, Renderer
+from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
 
 
 class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
@@ -36,6 +36,8 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         renderer: keypoints → frame, eq. (9).
         initial_state: keypoints of the given frames → state.
         velocity_prior: the prior of the initial velocity; None: the velocity is that of the given frames.
+        part_light: the light of the parts, which tells own parameters and where the parts are; None: there are no own
+            parameters.
         exchange: parts exchange their looks from recording to recording, and the constraints tell which keypoint is
             which part (`exchange`).
     """
@@ -45,6 +47,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     renderer: AbstractRenderer
     initial_state: AbstractInitialState
     velocity_prior: eqx.AbstractVar[VelocityPrior | None]
+    part_light: eqx.AbstractVar[PartLight | None]
     exchange: eqx.AbstractVar[bool]
 
     @property
@@ -88,7 +91,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         Raises:
             KeycldError: the frame does not have the size of the rendered frames.
         """
-        if not self.exchange:
+        if not self.exchange and self.part_light is None:
             check_size(frame, self.renderer.size)
             return self.estimator(frame)
         return jax.tree.map(lambda part: part[0], self.observe_clips(frame[None, None]))
@@ -102,7 +105,10 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
             KeycldError: the frames do not have the size of the rendered frames.
         """
         check_size(frames[0, 0], self.renderer.size)
-        observed = jax.vmap(self.estimator)(frames.reshape(-1, *frames.shape[2:]))
+        each = frames.reshape(-1, *frames.shape[2:])
+        observed = jax.vmap(self.estimator)(each)
+        if self.part_light is not None:
+            observed = observed._replace(keypoints=self.part_light.moved(each, observed.keypoints))
         if not self.exchange:
             return observed
         x = jax.lax.stop_gradient(observed.keypoints).reshape(*frames.shape[:2], -1, 2)
@@ -133,10 +139,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         observed = self.observe_clips(frames[None])
-        light = None
-        if isinstance(self.initial_state, OwnInitialState):
-            assert isinstance(self.renderer, Renderer) and self.renderer.background is not None
-            light = light_of(frames, self.renderer.background, observed.keypoints)
+        light = None if self.part_light is None else self.part_light(frames, observed.keypoints)
         state = self.state_of(observed.keypoints, dt, u, light)
         if observed.looks is None:
             return state
@@ -177,6 +180,7 @@ class KeyCLD(AbstractKeypointModel, HasLagrangian):
     """
 
     velocity_prior: VelocityPrior | None = None
+    part_light: PartLight | None = None
     exchange: bool = eqx.field(static=True, default=False)
 
     @property
@@ -195,4 +199,5 @@ class NODE2(AbstractKeypointModel):
     """Keypoints whose dynamics are a second-order neural differential equation: no energies, no constraints."""
 
     velocity_prior: None = None
+    part_light: None = None
     exchange: bool = eqx.field(static=True, default=False)

@@ -14,32 +14,34 @@ from keycld.mechanics import (
     MechanicalDynamics,
     Motion,
     State,
+    moved,
     own_law,
     own_parameters,
 )
 from keycld.models.keycld.initial_state import TAIL, AbstractInitialState, reweighted
-from keycld.vision import image_grid
 
 # Levenberg–Marquardt steps from each first guess of the place, and how many deviations the guesses are from the mean.
 _STEPS, _AWAY = 25, 1.5
-# Radial functions of the light, next to linear ones, and s of its shares.
-_CENTRES, _REACH = 48, 0.1
-# Less light than this, per cent of a white picture, has no direction.
-_DARK = 1e-4
+# Radial functions of the light, next to linear ones.
+_CENTRES = 48
 # Least deviation of an own number, so that the prior of one that does not differ stays regular.
 _LEAST = 1e-3
 _WIDTHS, _RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
-# Least deviation of the light that is the unit: 10 % of its size, as much of its direction.
+# Least deviation of what is seen that is the unit: 10 % of the size of light, as much of its direction.
 _DIM = 0.1
+# Constants above this share of the largest one are not near 0.
+_NEAR_ZERO = 0.05
 
 
 class OwnPrior(eqx.Module):
     """The normal prior of a trajectory's own parameters ζ = (p, log μ, log φ), given what its given frames show.
 
-        p ~ N(a + A x̄, Σ_p),    (log μ, log φ) ~ N(B b(l), Σ_f),    Φ ~ N(c, diag σ_c²)
+        p ~ N(a + A x̄, Σ_p),    (log μ, log φ) ~ N(B b(l, h(Φ)), Σ_f),    Φ ~ N(c, diag σ_c²)
 
-    x̄ is the mean of the given keypoints, l the light of the parts (`light_of`): b(l) holds 1, l, and radial functions
-    exp(−|l − l_j|²/2w²). All of it is measured on training recordings whose ζ the whole motion tells (`measured`), not
+    x̄ is the mean of the given keypoints, l the light of the parts (`PartLight`), Φ the constants around p, such as a
+    squared length: the friction factor of a hinge falls with it. h is the logarithm of constants of one sign that are
+    not near 0, for laws of powers, and else the identity. b holds 1, what is seen, s = (l, h), and radial functions
+    exp(−|s − s_j|²/2w²). All of it is measured on training recordings whose ζ the whole motion tells (`measured`), not
     trained. So a parameter that can be seen, such as a mass that makes a disc larger, has a narrow prior; one that does
     not differ keeps a deviation of nothing.
 
@@ -47,9 +49,10 @@ class OwnPrior(eqx.Module):
         shift: a [2].
         turn: A [2, 2].
         place_root: a root of Σ_p [2, 2].
-        light_mean: mean of the light [F], F = 4K.
-        light_scale: its deviation [F], 0.1 at least.
-        centres: l_j [C, F], in units of that deviation.
+        powers: whether h is the logarithm [n], 1 or 0.
+        seen_mean: mean of s [F], F = 4K + n.
+        seen_scale: its deviation [F], 0.1 at least.
+        centres: s_j [C, F], in units of that deviation.
         width: w.
         factors: B [K + 1, 1 + F + C].
         factor_root: a root of Σ_f [K + 1, K + 1].
@@ -60,8 +63,9 @@ class OwnPrior(eqx.Module):
     shift: Float[Array, "2"]
     turn: Float[Array, "2 2"]
     place_root: Float[Array, "2 2"]
-    light_mean: Float[Array, "F"]
-    light_scale: Float[Array, "F"]
+    powers: Float[Array, "n"]
+    seen_mean: Float[Array, "F"]
+    seen_scale: Float[Array, "F"]
     centres: Float[Array, "C F"]
     width: Float[Array, ""]
     factors: Float[Array, "L B"]
@@ -72,13 +76,14 @@ class OwnPrior(eqx.Module):
     @classmethod
     def unknown(cls, keypoints: int, constants: int) -> "OwnPrior":
         """Return a wide prior, before it is measured."""
-        size = 4 * keypoints
+        size = 4 * keypoints + constants
         return cls(
             shift=jnp.zeros(2),
             turn=jnp.eye(2),
             place_root=0.3 * jnp.eye(2),
-            light_mean=jnp.zeros(size),
-            light_scale=jnp.ones(size),
+            powers=jnp.zeros(constants),
+            seen_mean=jnp.zeros(size),
+            seen_scale=jnp.ones(size),
             centres=jnp.zeros((_CENTRES, size)),
             width=jnp.ones(()),
             factors=jnp.zeros((keypoints + 1, 1 + size + _CENTRES)),
@@ -87,20 +92,21 @@ class OwnPrior(eqx.Module):
             spread=jnp.ones(constants),
         )
 
-    def __call__(
-        self, x: Float[Array, "n dim"], light: Float[Array, "K 4"] | None
-    ) -> tuple[Float[Array, "S"], Float[Array, "S S"]]:
-        """Return mean of ζ and a root of its covariance.
+    def expected_place(self, x: Float[Array, "n dim"]) -> Float[Array, "2"]:
+        """Return the mean of p for the keypoints of the given frames."""
+        return self.shift + jnp.sum(self.turn * jnp.mean(x.reshape(-1, 2), axis=0)[None], axis=1)
+
+    def expected_factors(self, light: Float[Array, "K 4"] | None, constants: Float[Array, "n"]) -> Float[Array, "L"]:
+        """Return the mean of (log μ, log φ).
 
         Args:
-            x: keypoints of the given frames.
-            light: of the parts, mean over these frames; None: unknown.
+            light: of the parts, mean over the given frames; None: unknown.
+            constants: Φ(x − p).
         """
-        seen = self.light_mean if light is None else light.reshape(-1)
-        values = _functions((seen - self.light_mean) / self.light_scale, self.centres, self.width)
-        place = self.shift + jnp.sum(self.turn * jnp.mean(x.reshape(-1, 2), axis=0)[None], axis=1)
-        factors = jnp.sum(self.factors * values[None], axis=1)
-        return jnp.concatenate([place, factors]), jax.scipy.linalg.block_diag(self.place_root, self.factor_root)
+        known = self.seen_mean[: len(self.seen_mean) - len(constants)] if light is None else light.reshape(-1)
+        seen = jnp.concatenate([known, _sizes(constants, self.powers)])
+        values = _functions((seen - self.seen_mean) / self.seen_scale, self.centres, self.width)
+        return jnp.sum(self.factors * values[None], axis=1)
 
     @classmethod
     def measured(
@@ -122,8 +128,11 @@ class OwnPrior(eqx.Module):
         """
         middle = np.concatenate([np.ones((len(x), 1)), x.reshape(len(x), -1, 2).mean(axis=1)], axis=1)
         affine = np.linalg.lstsq(middle, own[:, :2], rcond=None)[0]
-        mean, scale = light.mean(axis=0), np.maximum(light.std(axis=0), _DIM)
-        seen = (light - mean) / scale
+        size = np.abs(constants)
+        powers = (size.min(axis=0) > _NEAR_ZERO * size.max(axis=0)) & (np.ptp(np.sign(constants), axis=0) == 0)
+        shown = np.concatenate([light, np.asarray(_sizes(constants, powers))], axis=1)
+        mean, scale = shown.mean(axis=0), np.maximum(shown.std(axis=0), _DIM)
+        seen = (shown - mean) / scale
         centres = seen[_apart(seen, _CENTRES)]
         best: tuple[float, Any] = (np.inf, None)
         for width in _WIDTHS:
@@ -139,6 +148,7 @@ class OwnPrior(eqx.Module):
             affine[0],
             affine[1:].T,
             _root(own[:, :2] - middle @ affine),
+            powers,
             mean,
             scale,
             centres,
@@ -201,13 +211,16 @@ class OwnInitialState(AbstractInitialState):
         """Return the state at frame 0 from all frames."""
         assert isinstance(dynamics, MechanicalDynamics) and isinstance(dynamics.law, ConstrainedLagrangian)
         (count, dim), law = x.shape, dynamics.law
-        expected, root = self.prior(x, light)
+        prior, phi = self.prior, law.constraint_function
+        place, others = prior.expected_place(x), jnp.zeros(len(prior.factor_root))
         clock, inputs = dt * (count - 1) / 2, u if u.ndim == 1 else u[: count - 1]
 
         def state(z: Array) -> State:
-            own = own_parameters(expected + jnp.matmul(root, z[2 * dim :], precision="highest"))
+            there = place + jnp.matmul(prior.place_root, z[2 * dim : 2 * dim + 2], precision="highest")
+            constants = jnp.mean(jax.vmap(phi)(moved(x, there)), axis=0)
+            factors = jnp.matmul(prior.factor_root, z[2 * dim + 2 :], precision="highest")
+            own = own_parameters(jnp.concatenate([there, prior.expected_factors(light, constants) + factors]))
             here = own_law(law, own)
-            constants = jnp.mean(jax.vmap(here.constraint)(x), axis=0)
             position = here.project_position(z[:dim], constants)
             velocity = here.project_velocity(position, z[dim : 2 * dim] / clock)
             return State(Motion(position, velocity), {"constants": constants, **own})
@@ -215,7 +228,7 @@ class OwnInitialState(AbstractInitialState):
         def residuals(z: Array) -> tuple[Array, Array]:
             first = state(z)
             off = (dynamics.rollout(first, inputs, dt, count - 1).x - x).reshape(count, -1, 2)
-            unexpected = (first.parameters["constants"] - self.prior.constants) / self.prior.spread
+            unexpected = (first.parameters["constants"] - prior.constants) / prior.spread
             return off / self.error[None, :, None], jnp.concatenate([z[2 * dim :], unexpected])
 
         def cost(z: Array) -> Array:
@@ -230,49 +243,28 @@ class OwnInitialState(AbstractInitialState):
             normal = normal + jnp.matmul(by_unexpected.T, by_unexpected, precision="highest")
             slope = slope + jnp.matmul(by_unexpected.T, unexpected, precision="highest")
             diagonal = jnp.diagonal(normal)
-            # The projections remove some directions of z; the damping keeps the matrix regular there.
-            damped = normal + jnp.diag(damping * diagonal + 1e-6 * jnp.max(diagonal))
-            moved = z - jnp.linalg.solve(damped, slope)
-            there = cost(moved)
+            # The projections remove some directions of position and velocity; this keeps the matrix regular there. The
+            # others have a prior, and next to precise keypoints so much damping would stop them.
+            floor = jnp.where(jnp.arange(len(z)) < 2 * dim, 1e-6 * jnp.max(diagonal), 0.0)
+            step = jnp.linalg.solve(normal + jnp.diag(damping * diagonal + floor), slope)
+            there = cost(z - step)
             better = there < least
             damping = jnp.where(better, jnp.maximum(damping / 5, 1e-6), jnp.minimum(damping * 8, 1e4))
-            return (jnp.where(better, moved, z), jnp.where(better, there, least), damping), None
+            return (jnp.where(better, z - step, z), jnp.where(better, there, least), damping), None
 
-        def search(place: Array) -> tuple[Array, Array]:
-            rest = jnp.zeros(len(expected) - 2)
-            z = jnp.concatenate([x[0], clock * (x[1] - x[0]) / dt, place, rest])
+        def search(away: Array) -> tuple[Array, Array]:
+            z = jnp.concatenate([x[0], clock * (x[1] - x[0]) / dt, away, others])
             (z, least, _), _ = jax.lax.scan(improve, (z, cost(z), jnp.asarray(1e-2)), length=_STEPS)
             return z, least
 
-        places = _AWAY * jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-        ends, costs = jax.vmap(search)(places)
+        guesses = _AWAY * jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+        ends, costs = jax.vmap(search)(guesses)
         return state(ends[jnp.argmin(costs)]), None
 
 
-def light_of(
-    frames: Float[Array, "n H W 3"], background: Float[Array, "H W 3"], keypoints: Float[Array, "n K 2"]
-) -> Float[Array, "K 4"]:
-    """Return the light that each part adds to the background: logarithm of its size, and its direction in colours.
-
-        a_k = mean_t Σ_p w_tpk (z_tp − z̄_p) / HW · 100,    w_tpk ∝ exp(−|x_p − x_tk|²/2s²),  Σ_k w_tpk = 1,  s = 0.1
-        l_k = (log |a_k|, a_k / |a_k|)
-
-    A sum over the pixels of a part knows its size a hundred times better than one pixel knows its value. A part of
-    twice the area and the same colour adds twice the light: the logarithm makes one step of this, whatever the colour.
-
-    Args:
-        frames: z, values in [0, 1].
-        background: z̄, the mean frame of the training data.
-        keypoints: x, image-plane units.
-    """
-    height, width = background.shape[:2]
-    grid = image_grid(height, width, 1)
-    away = jnp.sum((grid[None, :, :, None] - keypoints[:, None, None]) ** 2, axis=-1)
-    near = jax.nn.softmax(-away / (2 * _REACH**2), axis=-1)
-    added = frames - background[None]
-    a = jnp.mean(jnp.sum(near[..., None] * added[:, :, :, None], axis=(1, 2)), axis=0) * 100 / (height * width)
-    size = jnp.sqrt(jnp.sum(a**2, axis=1, keepdims=True) + _DARK**2)
-    return jnp.concatenate([jnp.log(size), a / size], axis=1)
+def _sizes(constants: Any, powers: Any) -> Array:
+    """Return h: the logarithm of the constants that `powers` names, the others as they are."""
+    return jnp.where(powers, jnp.log(jnp.maximum(jnp.abs(constants), 1e-6)), constants)
 
 
 def _functions(seen: Any, centres: Any, width: Any) -> Array:

@@ -31,7 +31,8 @@ from keycld.models.keycld.exchange import orders, shared_constants
 from keycld.models.keycld.identify import identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
-from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, light_of
+from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
+from keycld.models.keycld.part_light import PartLight, roughness
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
 from keycld.models.keycld.velocity_prior import VelocityPrior
@@ -127,6 +128,32 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Put the mean of Φ over all cached keypoints into the model, if its trajectories share constants."""
     assert data.cached is not None
     return _sharing(model, data.cached), data
+
+
+def measure_part_light(model: Any, data: Resident) -> tuple[Any, Resident]:
+    """Measure the background of the light of the parts (`PartLight`), and whether its centres are better keypoints.
+
+    They are if they are within a pixel of those of the estimator, in the median, and smoother.
+    """
+    some, begin, _ = _chosen(data, FITTED)
+    frames = np.stack([np.asarray(data.image[i][k]) for i, k in zip(some, begin, strict=True)])
+    background = jnp.asarray(still_background(frames), jnp.float32)
+
+    def seen(centred: float) -> tuple[Any, np.ndarray]:
+        light = PartLight(background, jnp.asarray(centred))
+        there = eqx.tree_at(lambda m: m.part_light, model, light)
+        return there, np.asarray(observed_keypoints(there, data, FITTED)[0])
+
+    (plain, x), (centred, c) = seen(0.0), seen(1.0)
+    pixel = pixel_size(*data.shape[2:4])
+    away, errors = np.median(np.abs(c - x)) / pixel, [roughness(each) / pixel for each in (x, c)]
+    better = away < 1 and errors[1] < errors[0]
+    print(
+        f"light        its centres are {away:.2f} pixels from the keypoints; errors of {errors[1]:.4f} pixels, "
+        f"of the keypoints {errors[0]:.4f}: {'taken' if better else 'not taken'}",
+        flush=True,
+    )
+    return (centred if better else plain), data
 
 
 def identify_dynamics(
@@ -392,7 +419,7 @@ def _unnamed(model: Any, image: jax.Array) -> jax.Array:
 @eqx.filter_jit
 def _light(model: Any, image: jax.Array) -> jax.Array:
     frames = image.astype(jnp.float32) / 255.0
-    return light_of(frames, model.renderer.background, model.observe_clips(frames[None]).keypoints).reshape(-1)
+    return model.part_light(frames, model.observe_clips(frames[None]).keypoints).reshape(-1)
 
 
 @eqx.filter_jit
