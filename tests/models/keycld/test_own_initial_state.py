@@ -131,6 +131,25 @@ def test_the_light_of_a_part_is_a_sum_over_its_pixels():
     np.testing.assert_allclose(eqx.filter_jit(light.moved)(background[None], off), off, atol=1e-6)
 
 
+@pytest.mark.parametrize(("away", "error", "taken"), [(0.3, 0.002, True), (0.3, 0.05, False), (1.5, 0.002, False)])
+def test_centres_that_are_near_and_smoother_are_taken(monkeypatch, away, error, taken):
+    """Errors in pixels; those of the keypoints are 0.01."""
+    config = config_for("keycld", "fast", width=8).completed(get("toy/mass_spring_colors"))
+    model = config.build(SCENE, jax.random.key(0))
+    _, _, _, paths = recordings(24, 60, 0)
+    noise, pixel = np.random.default_rng(1).normal(size=paths.shape), 2 / 15
+
+    def seen(model, *_):
+        off = away + error * noise if float(model.part_light.centred) else 0.01 * noise
+        return jnp.asarray(paths + pixel * off, jnp.float32), jnp.zeros((24, 0))
+
+    monkeypatch.setattr(prepare, "observed_keypoints", seen)
+    data = Resident(jnp.full((24, 60, 16, 16, 3), 51, jnp.uint8), jnp.zeros((24, 0)), DT)
+    found = prepare.measure_part_light(model, data)[0].part_light
+    assert bool(found.centred) is taken
+    np.testing.assert_allclose(found.background, 0.2, atol=1e-6)
+
+
 def test_errors_of_smooth_tracks():
     """Independent errors, next to a motion that is far larger; one recording that jumps does not count."""
     t = 0.05 * np.arange(80)[None, :, None]
