@@ -211,6 +211,9 @@ class FastConfig(KeyCLDConfig):
                 "choose these."
             )
 
+        if self.centres and self.model != "keycld":
+            raise KeycldError("centres are found for the model keycld alone: leave the setting out.")
+
     def completed(self, source: Any = None) -> "ModelConfig":
         """Return the config with its constraints, and with looks where those of the source's recordings differ."""
         config = super().completed(source)
