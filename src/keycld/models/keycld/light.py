@@ -110,7 +110,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         renderer=renderer,
         initial_state=_initial_state(config),
         velocity_prior=VelocityPrior.unknown() if config.velocity_prior and not config.own_parameters else None,
-        part_light=PartLight.unknown(scene.height, scene.width) if config.centres or config.own_parameters else None,
+        part_light=PartLight.unknown(scene.height, scene.width) if config.own_parameters else None,
         exchange=bool(config.exchange),
     )
 
@@ -239,9 +239,8 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         dynamics = _gradient_stage(second, clips)
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
-        if config.centres or config.own_parameters:
-            light = functools.partial(measure_part_light, centres=bool(config.centres))
-            identify = sequence(light, identify)
+        if config.own_parameters:
+            identify = sequence(measure_part_light, identify)
         judge = functools.partial(judge_dynamics, worst=worst, small=_SMALL, tried=config.tried)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge

@@ -130,24 +130,16 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     return _sharing(model, data.cached), data
 
 
-def measure_part_light(model: Any, data: Resident, *, centres: bool = True) -> tuple[Any, Resident]:
+def measure_part_light(model: Any, data: Resident) -> tuple[Any, Resident]:
     """Measure the background of the light of the parts (`PartLight`), and whether its centres are better keypoints.
 
     They are if they are within a pixel of those of the estimator, in the median, and smoother.
-
-    Args:
-        model: after the stage vision.
-        data: the training data.
-        centres: whether they may take the place of keypoints.
     """
     some, begin, _ = _chosen(data, FITTED)
     frames = np.stack([np.asarray(data.image[i][k]) for i, k in zip(some, begin, strict=True)])
     background = jnp.asarray(still_background(frames), jnp.float32)
-
     lights = [PartLight(background, jnp.asarray(centred)) for centred in (0.0, 1.0)]
     plain, centred = (eqx.tree_at(lambda m: m.part_light, model, light) for light in lights)
-    if not centres:
-        return plain, data
     x, c = (np.asarray(observed_keypoints(each, data, FITTED)[0]) for each in (plain, centred))
     pixel = pixel_size(*data.shape[2:4])
     away, errors = np.median(np.abs(c - x)) / pixel, [roughness(each) / pixel for each in (x, c)]

@@ -115,7 +115,7 @@ class JointStage:
 
 _LOOKS = 4
 # Settings that stand in the records of trainings that need them alone, so that older records hold.
-_WHERE_NEEDED = ("looks", "own_parameters", "exchange", "centres")
+_WHERE_NEEDED = ("looks", "own_parameters", "exchange")
 _FLAT = {
     **{f"vision_{name}": f"vision.{name}" for name in ("steps", "batch", "rate")},
     **{name: f"vision.{name}" for name in ("candidates", "trial")},
@@ -179,10 +179,6 @@ class FastConfig(KeyCLDConfig):
     part. Default: true if there are looks, two to six keypoints with constraints, shared constants, and no own
     parameters.
     """
-    centres: bool | None = None
-    """Keypoints move to the centre of the light that their part adds to the still background, if this is smoother and
-    within a pixel. Default: true with own parameters.
-    """
     velocity_prior: bool = True
     """Predictions use a prior of the initial velocity, measured on the training recordings, of which many begin at rest
     or shortly after; false: no prior.
@@ -211,9 +207,6 @@ class FastConfig(KeyCLDConfig):
                 "choose these."
             )
 
-        if self.centres and self.model != "keycld":
-            raise KeycldError("centres are found for the model keycld alone: leave the setting out.")
-
     def completed(self, source: Any = None) -> "ModelConfig":
         """Return the config with its constraints, and with looks where those of the source's recordings differ."""
         config = super().completed(source)
@@ -223,8 +216,6 @@ class FastConfig(KeyCLDConfig):
         own = self.model == "keycld" and self.OWN and source is not None and source.parameters_differ
         if config.own_parameters is None and own:
             config = dataclasses.replace(config, own_parameters=True)
-        if config.centres is None and config.own_parameters:
-            config = dataclasses.replace(config, centres=True)
         told_apart = bool(config.model == "keycld" and 1 < config.keypoints <= MOST_ORDERED and config.phi.items)
         told_apart = told_apart and bool(config.looks and config.shared_constants) and not config.own_parameters
         if config.exchange is None and told_apart:
