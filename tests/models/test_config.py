@@ -33,6 +33,14 @@ def test_settings_are_changed_by_name_and_checked():
             config_for("keycld", "fast", **settings)
 
 
+@pytest.mark.parametrize(
+    ("model", "preset", "name"), [("hgn", "released", "steps"), ("ar", "fast", "steps"), ("keycld", "paper", "epochs")]
+)
+def test_no_training_at_all_is_refused(model, preset, name):
+    with pytest.raises(KeycldError, match=f"{name} is at least 1, not 0"):
+        config_for(model, preset, **{name: 0})
+
+
 def test_a_name_belongs_to_one_family():
     with pytest.raises(KeycldError, match="'keycld' of mine is taken by keycld: choose another"):
         register_model("keycld", family="mine", title="another one")

@@ -346,12 +346,16 @@ def test_a_renamed_field_is_a_migration_and_not_damage(tmp_path):
         )
 
 
-def test_a_later_schema_is_refused(whole, tmp_path):
+@pytest.mark.parametrize(
+    ("version", "words"),
+    [(99, "schema_version 99 is later than"), ("x", "'schema_version' is 'x', but must be a whole number")],
+)
+def test_a_later_schema_is_refused(whole, tmp_path, version, words):
     root, _, _ = whole
     run = shutil.copytree(root / "whole", tmp_path / "later")
     config = json.loads((run / "config.json").read_text())
-    (run / "config.json").write_text(json.dumps(config | {"schema_version": 99}))
-    with pytest.raises(KeycldError, match="schema_version 99 is later than"):
+    (run / "config.json").write_text(json.dumps(config | {"schema_version": version}))
+    with pytest.raises(KeycldError, match=words):
         load_run(run)
 
 

@@ -139,7 +139,7 @@ def parse_config(path: Path) -> RunConfig:
     """
     try:
         saved = checked(json.loads(read_text(path)), dict[str, Any])
-        version = saved.get("schema_version", 1)
+        version = checked(saved.get("schema_version", 1), int, "schema_version")
         if version > SCHEMA_VERSION:
             raise ValueError(f"schema_version {version} is later than {SCHEMA_VERSION}: use the keycld that wrote it")
         if version == 1:

@@ -38,9 +38,9 @@ class PublishedConfig(KeyCLDConfig):
     """Drop the optimiser's state at every step, as the released code does."""
 
     def __post_init__(self) -> None:
-        """Refuse an empty batch."""
+        """Refuse an empty batch, and no training at all."""
         super().__post_init__()
-        at_least_one(self, "batch")
+        at_least_one(self, "batch", "epochs")
 
     @property
     @abc.abstractmethod

@@ -74,7 +74,7 @@ class LatentConfig(ModelConfig):
     def __post_init__(self) -> None:
         """Refuse settings that do not fit together."""
         super().__post_init__()
-        at_least_one(self, "given", "channels", "hidden", "depth", "targets", "batch", "frames_at_once")
+        at_least_one(self, "given", "channels", "hidden", "depth", "targets", "batch", "steps", "frames_at_once")
         for name, choices in (("regime", REGIMES), ("objective", OBJECTIVES), ("kl_against", PARTS)):
             if getattr(self, name) not in choices:
                 raise unknown(name, getattr(self, name), choices)

@@ -50,7 +50,7 @@ class RecurrentConfig(ModelConfig):
     def __post_init__(self) -> None:
         """Refuse settings that do not fit together."""
         super().__post_init__()
-        at_least_one(self, "layers", "hidden", "channels", "given", "batch", "frames_at_once")
+        at_least_one(self, "layers", "hidden", "channels", "given", "batch", "steps", "frames_at_once")
         if self.cell not in CELLS:
             raise unknown("cell", self.cell, CELLS)
         if self.latent < 2 or self.latent % 2:
