@@ -49,6 +49,7 @@ def test_what_is_named_twice_is_done_once():
     assert len(experiments(seeds=(1, 0, 1))) == 2
 
 
+@pytest.mark.slow
 def test_a_killed_bench_repeats_no_finished_work(place):
     """kill -9 of `bench run` while the second of three experiments trains."""
     behave(place, pendulum_keycld_1="hang")

@@ -57,6 +57,7 @@ def test_they_are_known(site):
     assert answer.returncode == 0, answer.stderr
 
 
+@pytest.mark.slow
 def test_a_law_is_an_option_and_a_module_that_cannot_be_imported_is_named(site):
     start = "import sys; sys.argv[1:] = ['control', 'pendulum', '--law', {!r}]; "
     start += "from keycld.cli.start import entry; entry()"

@@ -39,6 +39,7 @@ def test_errors_in_the_papers_units():
     assert trivial_scores([train], [still])["first_frame"]["vpt"] == 1.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "published"), [("toy/mass_spring", 170), ("toy/two_body", 316), ("toy/pendulum", 266)]
 )

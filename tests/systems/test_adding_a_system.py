@@ -32,6 +32,7 @@ def load(folder, monkeypatch, name, text):
     importlib.import_module(name)
 
 
+@pytest.mark.slow
 def test_the_pages_hamiltonian(tmp_path, monkeypatch, forget):
     load(tmp_path, monkeypatch, "double_well", BLOCKS[0])
     system = get("toy/double_well")

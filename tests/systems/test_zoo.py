@@ -209,6 +209,7 @@ def test_motions_stay_in_the_picture_and_can_be_followed(name):
     assert np.all(np.linalg.norm(first, axis=1) > 1e-2) and np.all(first.std(axis=0) > 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_energy_is_kept_or_lost_at_the_stated_rate(name):
     system = get(name)

@@ -130,6 +130,7 @@ def blobs(monkeypatch):
     return model, jnp.asarray(frames), x
 
 
+@pytest.mark.slow
 def test_the_frames_of_a_recording_are_named_together(blobs):
     """In the second recording the first keypoint is the outer part; its looks stay with it."""
     model, frames, x = blobs

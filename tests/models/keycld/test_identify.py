@@ -107,6 +107,7 @@ def test_forces_that_explain_no_more_give_way_to_a_spring_and_viscous_friction(m
     assert set(terms_of(identify.identify(model.dynamics, tracks, pixel=0.03, tried=tried).dynamics.law)) == found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("takes", "found"), [(True, {"springs", "viscous"}), (False, {"springs", "anchors", "viscous"})]
 )
@@ -125,6 +126,7 @@ def test_a_fixed_point_that_pulls_must_explain_half_of_the_cost_in_a_clip(monkey
     assert tried.needed("anchors") == 0.5 * takes
 
 
+@pytest.mark.slow
 def test_one_compiled_fit_serves_laws_with_some_of_the_forces(monkeypatch):
     """Forces that do not act leave the fit what it is, and nothing of them is left."""
     phase, size = np.linspace(0, 6, 6)[:, None], np.linspace(0.2, 0.6, 6)[:, None]
@@ -304,6 +306,7 @@ def test_more_frames_may_show_another_friction():
         assert set(terms_of(fitted.dynamics.law)) == {"springs", friction}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [3e-5, 3e-4, 3e-3])
 def test_forces_that_act_stay_however_clean_the_keypoints(noise):
     """x'' = −16 x − γ x' in one clip. The common factor of M, V and R has no curvature but that of rounding."""

@@ -97,6 +97,7 @@ def test_a_single_recording_with_a_push_in_the_middle_is_judged_in_halves(judged
     assert "no law was found" in judged(8.0, observed(x, 0 * x, 0.02 * PIXEL))
 
 
+@pytest.mark.slow
 def test_a_slow_motion_is_judged_on_longer_stretches(monkeypatch, recordings):
     """x'' = −x with errors of keypoints that last: 2 s are nearly a parabola, 6 s are not."""
 

@@ -40,6 +40,7 @@ def test_parts_that_look_different_share_no_patches():
         assert vision.loss.patches == vision.alternative.patches == weights, name
 
 
+@pytest.mark.slow
 def test_a_prediction_keeps_the_mean_look_of_the_given_frames(getkey):
     model = model_with_looks()
     frames = jax.random.uniform(getkey(), (3, 16, 16, 3))
