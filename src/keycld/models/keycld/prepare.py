@@ -32,7 +32,7 @@ from keycld.models.keycld.identify import identify, refit
 from keycld.models.keycld.losses import unevenness
 from keycld.models.keycld.model import KeyCLD
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
-from keycld.models.keycld.part_light import PartLight, roughness
+from keycld.models.keycld.part_light import PartLight, most_frequent, roughness
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
 from keycld.models.keycld.velocity_prior import VelocityPrior
@@ -137,7 +137,7 @@ def measure_part_light(model: Any, data: Resident) -> tuple[Any, Resident]:
     """
     some, begin, _ = _chosen(data, FITTED)
     frames = np.stack([np.asarray(data.image[i][k]) for i, k in zip(some, begin, strict=True)])
-    background = jnp.asarray(still_background(frames), jnp.float32)
+    background = jnp.asarray(most_frequent(frames), jnp.float32)
     lights = [PartLight(background, jnp.asarray(centred)) for centred in (0.0, 1.0)]
     plain, centred = (eqx.tree_at(lambda m: m.part_light, model, light) for light in lights)
     x, c = (np.asarray(observed_keypoints(each, data, FITTED)[0]) for each in (plain, centred))
