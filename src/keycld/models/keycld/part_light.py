@@ -82,8 +82,8 @@ class PartLight(eqx.Module):
 def most_frequent(frames: UInt8[np.ndarray, "N H W 3"]) -> Float[np.ndarray, "H W 3"]:
     """Return the most frequent value of each pixel and channel, 0 to 1.
 
-    Where soft discs often pass, the faint edges of one are in most frames: the median is off by up to two of 255 values,
-    which in many pixels far from a part moves the centre of its light by 0.02 pixels.
+    Where soft discs often pass, the faint edges of one are in most frames: the median is off by up to two of 255
+    values, which in many pixels far from a part moves the centre of its light by 0.02 pixels.
     """
     counts = np.stack([np.sum(frames == value, axis=0) for value in range(256)])
     return np.argmax(counts, axis=0) / 255.0
