@@ -194,6 +194,7 @@ def test_results_alone_give_the_errors(place, tmp_path):
     assert page.count("is left out") == 2 and "8 to 12 leave out pendulum" in page and '<section id="errors">' in page
 
 
+@pytest.mark.slow
 def test_the_page(place, tmp_path):
     path = write_suite_report(select(), place, tmp_path)
     text = path.read_text()

@@ -20,9 +20,13 @@ SIZE = 256
 
 
 @cache
-def recorded(name):
-    """Undriven recordings of twenty seeds."""
-    return [get(name).record(np.random.RandomState(seed), FRAMES, MOVING) for seed in range(SEEDS)]
+def recording(name, seed):
+    return get(name).record(np.random.RandomState(seed), FRAMES, MOVING)
+
+
+def recorded(name, count=SEEDS):
+    """Undriven recordings of so many seeds."""
+    return [recording(name, seed) for seed in range(count)]
 
 
 def driven(name):
@@ -209,12 +213,11 @@ def test_motions_stay_in_the_picture_and_can_be_followed(name):
     assert np.all(np.linalg.norm(first, axis=1) > 1e-2) and np.all(first.std(axis=0) > 0.1)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_energy_is_kept_or_lost_at_the_stated_rate(name):
     system = get(name)
     half = len(system.units) // 2
-    for run in recorded(name)[:3]:
+    for run in recorded(name, 3):
         kinetic, potential = system.energies(run.state[:-1])
         energy = kinetic + potential
         if name not in LOSSES:
@@ -231,7 +234,7 @@ def test_suggested_constraints_are_constant(name):
     system = get(name)
     constraints = system.constraints
     assert constraints.keypoints == system.keypoints
-    for run in recorded(name)[:2]:
+    for run in recorded(name, 2):
         x = system.landmarks(run.state).reshape(FRAMES, -1).astype(np.float32)
         values = np.asarray(jax.jit(jax.vmap(lambda x: constraints(x, {})))(x))
         assert values.shape == (FRAMES, constraints.count)

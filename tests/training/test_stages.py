@@ -355,6 +355,7 @@ def test_a_vision_stage_that_left_a_fifth_of_the_mean_pictures_error_has_failed(
     assert judged is None or f"is {share:.2f} of the mean picture's error" in judged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("gain", [1.0, 0.0])
 def test_keypoints_that_left_their_parts_fail_in_the_final_judgement(data, gain):
     whole = np.sqrt(np.mean((np.asarray(data.image) / 255.0) ** 2))

@@ -66,6 +66,7 @@ def test_chunks_give_the_same_mean_and_gradients(getkey):
         np.testing.assert_allclose(other, one, rtol=2e-4, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_one_chunk(getkey):
     decoder = ImageDecoder((16, 16), 4, 4, 16, key=getkey())
     pairs = (jnp.zeros((64, 4)), jnp.zeros((64, 16, 16, 3)))

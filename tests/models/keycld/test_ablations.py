@@ -131,6 +131,7 @@ def test_the_2024_loss_is_the_published_one_written_out_by_hand(getkey):
     assert float(total) == pytest.approx(reconstruction + dynamics + np.mean(entropy), rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_augmented_loss_is_random_and_finite(getkey):
     """With augmentation the loss is finite, and it differs between keys, because the network is not symmetric."""
     model = configured("keycld", "journal").build(SCENE, jax.random.key(0))

@@ -77,6 +77,7 @@ def test_the_spring_and_the_friction_of_a_cart(capsys):
         np.testing.assert_allclose(learned[:, 0], -16 * places[:, 0] - 0.5 * speed, atol=0.05 * 8)
 
 
+@pytest.mark.slow
 def test_terms_that_do_not_act_are_dropped_at_the_end(capsys):
     phase, size = np.linspace(0, 6, 12)[:, None], np.linspace(0.2, 0.6, 12)[:, None]
     x = size * np.sin(4 * DT * np.arange(FRAMES) + phase)
