@@ -7,6 +7,7 @@ import shutil
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
@@ -18,6 +19,7 @@ from keycld.models import Scene, config_for
 from keycld.models.keycld import identify
 from keycld.models.keycld.prepare import fit_dynamics, measure_velocity_prior
 from keycld.models.keycld.recipes.fast import FastConfig
+from keycld.stages import AbstractLoss
 from keycld.training import finished, load_run, loop, runs, train
 from keycld.training.checkpoints import (
     STATE,
@@ -115,6 +117,33 @@ def test_a_stage_that_fails_begins_again_with_other_weights_three_times_at_most(
     assert not verdict["passed"] and len(verdict["failures"]) == len(losses) == 3
     with pytest.raises(KeycldError, match="there is no model in .* failed 3 times .* in stage vision"):
         load_run(tmp_path / "run")
+
+
+class Infinite(AbstractLoss):
+    def __call__(self, model, clips, *, key, step):
+        return jnp.inf * jnp.mean(model.renderer.background), {}
+
+
+@pytest.mark.parametrize(
+    ("skips", "message"),
+    [
+        (2, r"failed 3 times .* stage vision: not a finite .* step 2: .* 2 such"),
+        (0, "stage 'vision': not a finite .* step 0: .* checkpoint is intact"),
+    ],
+)
+def test_a_stage_that_may_skip_steps_begins_again_after_too_many(whole, tmp_path, monkeypatch, skips, message):
+    """Other weights may pass; a training without such a stage may be of days, and is not thrown away."""
+    _, data, _ = whole
+    stages = FastConfig.stages
+
+    def infinite(*arguments):
+        return (dataclasses.replace(stages(*arguments)[0], loss=Infinite(), skips=skips, candidates=1),)
+
+    monkeypatch.setattr(FastConfig, "stages", infinite)
+    with pytest.raises(KeycldError, match=message):
+        train(data, tmp_path / "run", CONFIG, log_every=2)
+    verdict = tmp_path / "run" / "verdict.json"
+    assert len(json.loads(verdict.read_text())["failures"]) == 3 if skips else not verdict.exists()
 
 
 @pytest.mark.slow

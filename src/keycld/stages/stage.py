@@ -115,7 +115,8 @@ class Stage:
         optimiser: makes an optax transformation from a learning-rate schedule.
         schedule: makes that schedule from the peak rate and the number of steps.
         clip: largest global norm of a gradient; larger ones are scaled down to it. None: unlimited.
-        skips: steps in a row whose loss or gradient may be not finite: they change nothing. One more ends the training.
+        skips: steps in a row whose loss or gradient may be not finite: they change nothing. One more fails the stage,
+            and training begins again with other initial weights; 0: the first one ends it.
         prepare: changes the model and the resident data before the first step: statistics, cached keypoints, a
             least-squares fit.
         every: steps between repetitions of `refresh`; 0: none.

@@ -196,9 +196,10 @@ class _Trainer:
         training = self.training
         while self.number < len(training.stages):
             stage = training.stages[self.number]
-            self._train(stage)
-            with training.turn:
-                failure = None if stage.judge is None else stage.judge(self.model, self.data)
+            failure = self._train(stage)
+            if failure is None and stage.judge is not None:
+                with training.turn:
+                    failure = stage.judge(self.model, self.data)
             # The first process decides for all: next to a threshold, fits of others may end on its other side.
             if agreed_number(float(failure is not None)):
                 failure = failure or "the first process has found a failure"
@@ -216,8 +217,12 @@ class _Trainer:
         write_verdict(training.folder, self.failures, passed=True)
         return self.model
 
-    def _train(self, stage: Stage) -> None:
-        """Take the steps of a stage."""
+    def _train(self, stage: Stage) -> str | None:
+        """Take the steps of a stage, and return what has failed in them, or None.
+
+        Raises:
+            KeycldError: something was not finite, in a stage that does not skip such steps.
+        """
         training = self.training
         devices, log_every, first = training.devices, training.log_every, training.before[self.number]
         # The number of the random keys of this stage in this attempt.
@@ -260,7 +265,13 @@ class _Trainer:
                 values = {k: _mean([t[k] for t in pending], skipping=stage.skips > 0) for k in terms}
                 pending = []
                 if not bool(current.healthy):
-                    raise diagnose(stage, drawn, training.seed, devices.here(current), rest, self.data)
+                    found = diagnose(stage, drawn, training.seed, devices.here(current), rest, self.data)
+                    if stage.skips:
+                        return f"{found} {stage.skips} such steps in a row may be skipped. Lower the learning rate."
+                    raise KeycldError(
+                        f"stage '{stage.name}': {found} The last checkpoint is intact; lower the learning rate or "
+                        "check the data."
+                    )
                 if skipped := stage.skipped(current.optimiser):
                     values["skipped"] = float(skipped)
                 self.clock.tick()
@@ -273,6 +284,7 @@ class _Trainer:
                     self._save(devices.here(current), self._whole(current, rest), done)
                     saved = time.monotonic()
         self.model = self._whole(current, rest)
+        return None
 
     def _begin(self, stage: Stage, drawn: int, compiled: Callable[[int], Run], per_step: int) -> tuple[Progress, Any]:
         """Return the progress at the first step, or after the trials of several initial weights, and the rest."""

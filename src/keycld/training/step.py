@@ -10,7 +10,6 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
-from keycld._errors import KeycldError
 from keycld.data import Clip, Resident
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Rule, Stage
 from keycld.training.devices import Devices
@@ -186,8 +185,8 @@ def _stepped(rule: Rule, chosen: Any, rest: Any, clips: Clip, progress: Progress
     return Progress(parameters, optimiser, memory, number, healthy), {"loss": loss, **terms}
 
 
-def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> KeycldError:
-    """Return an error that names the step, the loss terms and the parameters that are not finite.
+def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any, data: Resident) -> str:
+    """Return which step, which loss terms and which parameters are not finite.
 
     Args:
         stage: the stage that failed.
@@ -208,11 +207,9 @@ def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any
         jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves if not bool(jnp.all(jnp.isfinite(leaf)))
     ]
     where = f"loss term {', '.join(bad_terms)}" if bad_terms else "the gradient only, no loss term"
-    which = f"{bad_leaves[0]} and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else "".join(bad_leaves)
-    return KeycldError(
-        f"not a finite number at step {int(progress.step)} of stage '{stage.name}': {where}; parameter "
-        f"{which or 'none'}. The last checkpoint is intact; lower the learning rate or check the data."
-    )
+    which = f"parameter {bad_leaves[0]}" if bad_leaves else "the squares of the gradient overflow"
+    more = f" and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else ""
+    return f"not a finite number at step {int(progress.step)}: {where}; {which}{more}."
 
 
 def step_keys(seed: int, stage: int) -> tuple[Array, Array]:
