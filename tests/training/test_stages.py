@@ -252,7 +252,19 @@ def test_something_not_finite_is_named_and_not_trained_on(data):
     assert not bool(progress.healthy)
     np.testing.assert_array_equal(progress.parameters.moving, 3.0)
     error = diagnose(broken, 0, 0, progress, rest, data)
-    assert "at step 0:" in error and "still" in error and "moving" not in error
+    assert error == "not a finite number at step 0: gradient of still."
+
+
+def test_a_gradient_whose_norm_overflows_is_named(data):
+    class Steep(AbstractLoss):
+        def __call__(self, model, clips, *, key, step):
+            return 1e25 * jnp.sum(model.moving), {}
+
+    steep = stage(loss=Steep())
+    progress, rest = initial_progress(steep, Model(jnp.full(2, 3.0), jnp.ones(3)))
+    progress, _ = make_step(steep, 0, 0, 1)((rest, data), progress)
+    assert not bool(progress.healthy)
+    assert diagnose(steep, 0, 0, progress, rest, data).endswith("squares of the gradient, which overflow.")
 
 
 class Smooth(AbstractLoss):

@@ -200,16 +200,22 @@ def diagnose(stage: Stage, number: int, seed: int, progress: Progress, rest: Any
     clips = stage.sampler(data, clip_key, progress.step)
     key = jax.random.fold_in(loss_key, progress.step)
     compiled = eqx.filter_jit(functools.partial(_gradient, stage.loss))
-    (_, (terms, _)), gradient = compiled(rest, clips, key, progress)
-    bad_terms = [name for name, value in terms.items() if not bool(jnp.isfinite(value))]
+    (loss, (terms, _)), gradient = compiled(rest, clips, key, progress)
+    bad_terms = [name for name, value in ({"loss": loss} | terms).items() if not bool(jnp.isfinite(value))]
     leaves = jax.tree_util.tree_leaves_with_path(gradient)
     bad_leaves = [
         jax.tree_util.keystr(path).lstrip(".") for path, leaf in leaves if not bool(jnp.all(jnp.isfinite(leaf)))
     ]
-    where = f"loss term {', '.join(bad_terms)}" if bad_terms else "the gradient only, no loss term"
-    which = f"parameter {bad_leaves[0]}" if bad_leaves else "the squares of the gradient overflow"
-    more = f" and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else ""
-    return f"not a finite number at step {int(progress.step)}: {where}; {which}{more}."
+    bad = []
+    if bad_terms:
+        # The loss is not finite because a term is not, if it has terms.
+        named = bad_terms[1:] or bad_terms
+        bad.append(f"loss term{'s' if len(named) > 1 else ''} {', '.join(named)}")
+    if bad_leaves:
+        more = f" and {len(bad_leaves) - 1} others" if len(bad_leaves) > 1 else ""
+        bad.append(f"gradient of {bad_leaves[0]}{more}")
+    found = "; ".join(bad) or "squares of the gradient, which overflow"
+    return f"not a finite number at step {int(progress.step)}: {found}."
 
 
 def step_keys(seed: int, stage: int) -> tuple[Array, Array]:
