@@ -77,6 +77,22 @@ def test_with_nothing_free_only_initial_states_are_fitted(pendulums):
     assert float(jnp.sqrt(jnp.mean((fitted.paths - paths) ** 2))) < 0.004
 
 
+def test_the_law_does_not_hear_of_motions_that_are_lost(pendulums):
+    """Two of twelve observations are of nothing; they count like the worst of the others."""
+    paths, seen = pendulums
+    seen = seen.at[3].set(0.3).at[7].set(seen[7][::-1, ::-1])
+    lost = np.isin(np.arange(12), (3, 7))
+    guess = swinging(9.0)
+    free = free_leaves(guess, lambda name: name.endswith("potential.weight"))
+    fit = jax.jit(lambda followed: fit_motions(guess, free, seen, jnp.zeros((12, 0)), DT, followed=followed))
+    fitted, heard = fit(jnp.asarray(~lost)), fit(jnp.ones(12, bool))
+    off = [abs(float(each.dynamics.law.potential.weight[1]) - 9.81) for each in (fitted, heard)]
+    assert off[0] < 0.05 and off[1] > 0.08
+    assert float(fitted.rms) == pytest.approx(0.01, rel=0.1) and float(heard.rms) > 0.03
+    alone = jax.jit(lambda x: fit_motions(guess, free, x, jnp.zeros((10, 0)), DT))(seen[~lost])
+    assert 1.0 < float(fitted.cost / alone.cost) < 1.6
+
+
 @pytest.mark.parametrize("held", [True, False])
 def test_slopes_of_the_cost_are_its_derivatives_for_inputs_of_any_kind(held):
     """A frame of (ω dt)² = 0.03 ends with the input that it began with, not with that of the next frame."""

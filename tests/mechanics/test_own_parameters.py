@@ -59,7 +59,7 @@ def test_the_law_of_a_trajectory_is_the_shifted_one_with_its_own_masses():
     items = (DistanceToPoint("elbow", (0.3, -0.2)), FixedDistance("elbow", "tip"))
     explicit = ConstrainedLagrangian(
         PointMasses(jnp.sqrt(jnp.array([2.0, 0.35]))),
-        potential,
+        SumPotential(jnp.array([0.0, 2.0, 0.0, 0.25]), {}),
         None,
         Constraints(("elbow", "tip"), items),
         ViscousFriction(3.0 * damping),
@@ -70,7 +70,15 @@ def test_the_law_of_a_trajectory_is_the_shifted_one_with_its_own_masses():
     np.testing.assert_allclose(here.constraint(x), explicit.constraint(x), rtol=1e-5)
     np.testing.assert_allclose(here.kinetic_energy(x, v), explicit.kinetic_energy(x, v), rtol=1e-5)
     place = jnp.tile(own["place"], 2)
-    np.testing.assert_allclose(here.potential_energy(x), common.potential_energy(x - place), rtol=1e-5)
+    np.testing.assert_allclose(here.potential_energy(x), explicit.potential_energy(x - place), rtol=1e-5)
+
+
+def test_what_is_twice_as_heavy_weighs_twice_as_much():
+    """Gravity, the same for both, is that of the first factor; a ratio of the masses does not change it."""
+    common = ConstrainedLagrangian(PointMasses.ones(2), SumPotential(jnp.array([0.0, 3.0, 0.0, 3.0]), {}))
+    own = own_parameters(jnp.log(jnp.array([1.0, 1.0, 2.0, 0.5, 1.0])))
+    fall = own_law(common, own).acceleration(jnp.zeros(4), jnp.zeros(4), NONE)
+    np.testing.assert_allclose(fall, [0, -1.5, 0, -1.5], atol=1e-6)
 
 
 def test_own_coupled_masses_stay_inverse_to_each_other():

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, PyTree
+from jaxtyping import Array, Bool, Float, Int, PyTree
 
 from keycld._errors import KeycldError
 from keycld.mechanics.dynamics import MechanicalDynamics
@@ -35,6 +35,7 @@ class Fitted(NamedTuple):
         cost: the sum that was minimised.
         curvature: second derivatives of the least cost by θ, initial states eliminated, at the last step but one.
         own: fitted own parameters of each motion; None where there are none.
+        followed: whether θ was fitted to each motion.
     """
 
     dynamics: MechanicalDynamics
@@ -43,12 +44,13 @@ class Fitted(NamedTuple):
     errors: Float[Array, "N"]
     cost: Float[Array, ""]
     curvature: Float[Array, "P P"]
-    own: Float[Array, "N S"] | None = None
+    own: Float[Array, "N S"] | None
+    followed: Bool[Array, "N"]
 
     @property
     def rms(self) -> Float[Array, ""]:
-        """Root mean square of the errors of all motions."""
-        return jnp.sqrt(jnp.mean(self.errors**2))
+        """Root mean square of the errors of the motions that θ was fitted to."""
+        return jnp.sqrt(jnp.mean(self.errors**2, where=self.followed))
 
 
 def fit_motions(
@@ -63,6 +65,7 @@ def fit_motions(
     constants: Float[Array, "n"] | None = None,
     initial: Motion | None = None,
     own: Own | None = None,
+    followed: Bool[Array, "N"] | None = None,
     searches: int | Int[Array, ""] = 3,
     iterations: int | Int[Array, ""] = 30,
     scale: float = 0.05,
@@ -98,6 +101,8 @@ def fit_motions(
             numbers of Φ are free, only whether constants are shared counts: they are the means over all observations.
         initial: initial states to begin with, `[N, dim]` each; None: `rough_states`.
         own: first guess and prior of the own parameters of each motion; None: they have none.
+        followed: false for each motion that a fit has lost; None: none is. Initial states of such a motion are fitted
+            as those of others, but not θ, and in the cost of the result it counts like the worst of the others.
         searches: steps of the initial states alone before the others.
         iterations: the most steps of initial states and θ together. It ends after three in a row that gain less than a
             thousandth of the cost each, and by their quadratic model could gain no more: from a good guess after 4.
@@ -130,6 +135,7 @@ def fit_motions(
     none = jnp.asarray(0)
     damping, least = jnp.asarray(1e-2), jnp.asarray(jnp.inf)
     motions = (observed, constants, u, *([] if own is None else [own.expected]))
+    followed = jnp.ones(count, bool) if followed is None else followed
     begin = _Search(z, jnp.full(count, 1e-2), theta, damping, least, curvature, observed, none, none)
 
     # Parts of one size where that is possible: what is computed for each is compiled again for a smaller last one.
@@ -139,7 +145,7 @@ def fit_motions(
         return (now.stalls < _STALLS) & (now.taken < searches + iterations)
 
     def improve(now: _Search) -> _Search:
-        return _improved(now, cost, chosen, now.taken < searches, motions, alike)
+        return _improved(now, cost, chosen, now.taken < searches, motions, followed, alike)
 
     end = jax.lax.while_loop(unfinished, improve, begin)
     theta, off = end.theta, end.paths - observed
@@ -148,11 +154,12 @@ def fit_motions(
     )
     squares = jax.vmap(lambda error: jnp.sum(cost.counted(error) ** 2))(off)
     errors = jnp.sqrt(squares / (jnp.sum(cost.counts) * dim))
-    total, fitted_own = jnp.sum(jax.vmap(cost)(off)), None
+    costs, fitted_own = jax.vmap(cost)(off), None
     if own is not None:
-        total, fitted_own = total + jnp.sum(jax.vmap(cost.unexpected)(end.z, own.expected)), end.z[:, 2 * dim :]
+        costs, fitted_own = costs + jax.vmap(cost.unexpected)(end.z, own.expected), end.z[:, 2 * dim :]
+    total = jnp.sum(jnp.where(followed, costs, jnp.max(costs, where=followed, initial=0.0)))
     initial = Motion(first[:, :dim], first[:, dim:])
-    return Fitted(cost.dynamics(theta), initial, end.paths, errors, total, end.curvature, fitted_own)
+    return Fitted(cost.dynamics(theta), initial, end.paths, errors, total, end.curvature, fitted_own, followed)
 
 
 class _Search(NamedTuple):
@@ -182,7 +189,13 @@ class _Search(NamedTuple):
 
 
 def _improved(
-    now: _Search, cost: MotionCost, chosen: Array, searching: Array, motions: tuple[Array, ...], chunk: int
+    now: _Search,
+    cost: MotionCost,
+    chosen: Array,
+    searching: Array,
+    motions: tuple[Array, ...],
+    followed: Array,
+    chunk: int,
 ) -> _Search:
     """Take one step.
 
@@ -192,6 +205,7 @@ def _improved(
         chosen: 1 for each number of θ that is fitted.
         searching: whether initial states alone move, and every step counts as a gain.
         motions: observations, constants and inputs of all motions, and what is expected of own parameters.
+        followed: whether θ is fitted to each motion.
         chunk: motions at a time.
     """
     theta, size = now.theta, now.z.shape[1]
@@ -205,7 +219,8 @@ def _improved(
 
     dampings = jnp.minimum(now.dampings, now.damping)
     motion, old, paths = each(eliminate, now.z, dampings, *motions)
-    squares, moves = jnp.sum(motion.squares, axis=0), jnp.where(searching, 0.0, chosen)
+    squares = jnp.sum(motion.squares, axis=0, where=followed[:, None, None])
+    moves = jnp.where(searching, 0.0, chosen)
     curvature = squares[1:, 1:]
     damped = _damped(moves[:, None] * curvature * moves[None, :], now.damping)
     change = jnp.linalg.solve(damped, moves * squares[1:, 0])
@@ -221,9 +236,9 @@ def _improved(
 
     prices, new_paths = each(price, jnp.stack([now.z, new_z], axis=1), *motions)
     moved = prices[:, 1] < prices[:, 0]
-    total, reached = jnp.sum(old), jnp.sum(jnp.min(prices, axis=1))
+    total, reached = jnp.sum(old, where=followed), jnp.sum(jnp.min(prices, axis=1), where=followed)
     better = reached < total
-    slope = motion.slope
+    slope = jnp.where(followed[:, None], motion.slope, 0.0)
     expected = 0.5 * (jnp.sum(slope[:, :size] * (now.z - new_z)) + jnp.sum(slope[:, size:] @ change))
     chosen_paths = jnp.where(moved[:, None, None], new_paths[:, 1], new_paths[:, 0])
     least = jnp.minimum(reached, total)

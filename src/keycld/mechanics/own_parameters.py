@@ -10,6 +10,7 @@ from jaxtyping import Array, Float
 
 from keycld.mechanics.circle import nearest_circle
 from keycld.mechanics.constraints import AbstractConstraint, Constraints
+from keycld.mechanics.force import SumPotential
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.mechanics.masses import AbstractMassMatrix
 from keycld.mechanics.relations.distance_to_point import DistanceToPoint
@@ -59,13 +60,20 @@ def own_law(law: Any, parameters: dict[str, Any] | None) -> Any:
     place = parameters["place"]
     return ConstrainedLagrangian(
         mass=_OwnMasses(law.mass, jnp.sqrt(parameters["masses"])),
-        potential=_Elsewhere(law.potential, place),
+        potential=_Elsewhere(_weighed(law.potential, parameters["masses"]), place),
         input_matrix=None if law.input_matrix is None else _Elsewhere(law.input_matrix, place),
         constraint=_ConstraintElsewhere(
             dimension=law.constraint_function.dimension, constraint=law.constraint_function, place=place
         ),
         dissipation=None if law.dissipation is None else _Friction(law.dissipation, place, parameters["friction"]),
     )
+
+
+def _weighed(potential: Callable, masses: Float[Array, "K"]) -> Callable:
+    """Return V with weights in proportion to the factors of masses; that of the first keypoint stays."""
+    if not isinstance(potential, SumPotential):
+        return potential
+    return SumPotential(potential.weight * jnp.repeat(masses / masses[0], 2), potential.terms)
 
 
 def rough_places(law: ConstrainedLagrangian, observed: Float[Array, "N T dim"]) -> Float[Array, "N 2"]:

@@ -5,6 +5,8 @@ from keycld.vision.coordinates import gaussian_maps as gaussian_maps
 from keycld.vision.coordinates import image_grid as image_grid
 from keycld.vision.coordinates import pixel_size as pixel_size
 from keycld.vision.coordinates import spatial_softmax as spatial_softmax
+from keycld.vision.disc_fit import Discs as Discs
+from keycld.vision.disc_fit import fit_discs as fit_discs
 from keycld.vision.fully_connected import DenseEstimator as DenseEstimator
 from keycld.vision.fully_connected import DenseRenderer as DenseRenderer
 from keycld.vision.image_decoder import ImageDecoder as ImageDecoder
@@ -31,6 +33,7 @@ __all__ = [
     "AbstractUNet",
     "DenseEstimator",
     "DenseRenderer",
+    "Discs",
     "ImageDecoder",
     "ImageEncoder",
     "KeypointEstimator",
@@ -43,6 +46,7 @@ __all__ = [
     "PaperUNet",
     "Renderer",
     "Standardise",
+    "fit_discs",
     "gaussian_maps",
     "image_grid",
     "pixel_size",

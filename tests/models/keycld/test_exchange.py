@@ -10,9 +10,23 @@ import pytest
 
 from keycld._errors import KeycldError
 from keycld.data import Clip
-from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
+from keycld.mechanics import (
+    ConstrainedLagrangian,
+    Constraints,
+    DistanceToPoint,
+    FixedDistance,
+    MechanicalDynamics,
+    Motion,
+    PointMasses,
+    Rattle,
+    State,
+    SumPotential,
+    own_law,
+    own_parameters,
+    rough_places,
+)
 from keycld.models import Scene, config_for
-from keycld.models.keycld.exchange import arranged, fitting_order, orders, shared_constants, shuffled
+from keycld.models.keycld.exchange import arranged, fitting_order, nearest_order, orders, shared_constants, shuffled
 from keycld.models.keycld.losses import PredictionLoss, VisionLoss
 from keycld.systems import get
 from keycld.vision import Observation
@@ -20,6 +34,7 @@ from keycld.vision import Observation
 SCENE = Scene(height=16, width=16, inputs=0, frames=12, dt=0.05, trajectories=6)
 PHI = Constraints(("inner", "outer"), (DistanceToPoint("inner"), FixedDistance("inner", "outer")))
 LENGTHS = np.array([0.4, 0.5])
+DT, NONE = jnp.float32(0.05), jnp.zeros(0)
 
 
 def swings(count, frames=12, seed=0):
@@ -51,7 +66,7 @@ def test_the_default_is_where_constraints_tell_several_parts_of_different_looks_
 
 @pytest.mark.parametrize(
     ("model", "changes"),
-    [("keycld-nc", {}), ("keycld", {"shared_constants": False}), ("keycld", {"own_parameters": True})],
+    [("keycld-nc", {}), ("keycld", {"shared_constants": False}), ("keycld", {"looks": 0})],
 )
 def test_it_is_refused_where_nothing_tells_the_parts_apart(model, changes):
     config = config_for(model, "fast", exchange=True, **changes)
@@ -107,6 +122,79 @@ def test_keypoints_move_with_their_heat_maps_and_looks(getkey):
     kept = np.all(np.asarray(drawn.keypoints) == np.asarray(observed.keypoints.repeat(16, axis=0)), axis=(1, 2))
     np.testing.assert_array_equal(kept[::2], kept[1::2])  # both frames of a clip alike
     assert 0.2 < kept.mean() < 0.8
+
+
+def test_parts_around_places_of_their_own():
+    """No constants are known, and every recording hangs from another place."""
+    x = swings(20, frames=40)
+    swapped = np.arange(20) % 3 == 0
+    moved = x + np.random.default_rng(1).uniform(-0.2, 0.2, (20, 1, 1, 2)).astype(np.float32)
+    mixed = np.where(swapped[:, None, None, None], moved[:, :, ::-1], moved)
+    law = ConstrainedLagrangian(PointMasses.ones(2), SumPotential(jnp.zeros(4), {}), None, PHI)
+
+    def found(x):
+        return fitting_order(PHI, None, x, lambda flat: rough_places(law, flat[None])[0])[0]
+
+    np.testing.assert_array_equal(jax.jit(jax.vmap(found))(jnp.asarray(mixed))[:, 0] == 1, swapped)
+
+
+def test_the_nearest_order_is_that_of_fitted_positions(getkey):
+    wanted = jax.random.normal(getkey(), (6, 3, 2))
+    order = jnp.array([[0, 1, 2], [2, 0, 1], [1, 2, 0]] * 2)
+    seen = Observation(wanted + 0.01 * jax.random.normal(getkey(), wanted.shape), None)
+    mixed = arranged(seen, order)
+    back = arranged(mixed, nearest_order(mixed.keypoints, wanted))
+    np.testing.assert_array_equal(back.keypoints, seen.keypoints)
+
+
+@pytest.mark.slow
+def test_five_frames_tell_by_the_law_which_part_is_which():
+    """Of a double pendulum that hangs from a place of its own, both orders keep all lengths for five frames."""
+    config = config_for("keycld", "fast", width=8).completed(get("toy/double_pendulum_colors"))
+    assert config.exchange and config.own_parameters
+    model = config.build(SCENE, jax.random.key(0))
+    law = ConstrainedLagrangian(
+        PointMasses.ones(2), SumPotential(jnp.array([0.0, 3.0, 0.0, 3.0]), {}), None, model.law.constraint_function
+    )
+    dynamics = MechanicalDynamics(law, Rattle(substeps=4))
+    prior = model.initial_state.prior
+    prior = eqx.tree_at(lambda p: (p.factor_root, p.place_root), prior, (0.1 * jnp.eye(3), 0.2 * jnp.eye(2)))
+    model = eqx.tree_at(
+        lambda m: (m.dynamics, m.initial_state.prior, m.initial_state.error, m.estimator),
+        model,
+        (dynamics, prior, jnp.full(2, 2e-4), FirstRow()),
+    )
+    random = np.random.default_rng(0)
+    x, places = swings(8, 1)[:, 0].reshape(8, 4), random.uniform(-0.2, 0.2, (8, 2))
+    x = jnp.asarray(x + np.tile(places, 2), jnp.float32)
+    own = own_parameters(jnp.zeros(5))
+
+    def path(x, place):
+        own["place"] = place
+        here = own_law(law, own)
+        state = State(Motion(x, jnp.zeros(4)), {"constants": here.constraint(x), **own})
+        return dynamics.rollout(state, NONE, DT, 8).x[4:]
+
+    paths = np.asarray(jax.jit(jax.vmap(path))(x, jnp.asarray(places, jnp.float32)))
+    seen = paths + random.normal(0, 1e-4, paths.shape)
+    frames = np.zeros((2, 8, 5, 16, 16, 3), np.float32)
+    frames[0, :, :, 0, :4, 0] = seen + 0.5
+    frames[1, :, :, 0, :4, 0] = seen[..., [2, 3, 0, 1]] + 0.5
+    infer = eqx.filter_jit(lambda frames: jax.lax.map(lambda each: model.infer(each, DT, NONE), frames))
+    for order in range(2):
+        state = infer(jnp.asarray(frames[order]))
+        right = np.abs(np.asarray(state.coordinates.x) - paths[:, 0]).max(axis=1) < 0.01
+        assert right.sum() >= 7
+        looks = np.asarray(state.parameters["looks"])[right]
+        np.testing.assert_array_equal(looks, np.broadcast_to(np.eye(2, 4)[:: 1 - 2 * order], looks.shape))
+
+
+class FirstRow(eqx.Module):
+    """An estimator that reads the keypoints in the first row of a frame."""
+
+    def __call__(self, frame):
+        keypoints = frame[0, :4, 0].reshape(2, 2) - 0.5
+        return Observation(keypoints, None, jnp.eye(2, 4) + 0 * keypoints[:, :1])
 
 
 @pytest.fixture

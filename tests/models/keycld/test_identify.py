@@ -264,7 +264,16 @@ def test_a_fit_whose_motions_diverged_is_done_again_in_growing_parts(monkeypatch
     x = jnp.zeros((3, 5, 2))
     still = Motion(x[:, 0], x[:, 0])
     nothing, lost, sound = (
-        Fitted(model.dynamics, still, x, jnp.array([0.1, 0.1, error]), jnp.array(cost), jnp.zeros((1, 1)))
+        Fitted(
+            model.dynamics,
+            still,
+            x,
+            jnp.array([0.1, 0.1, error]),
+            jnp.array(cost),
+            jnp.zeros((1, 1)),
+            None,
+            jnp.ones(3, bool),
+        )
         for cost, error in ((jnp.inf, jnp.nan), (9.0, 3.0), (1.0, 0.1))
     )
     tracks = Tracks(x, jnp.zeros((3, 0)), jnp.array(DT), None)

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from keycld.mechanics import moved
 from keycld.vision import Observation
 
 Phi = Callable[[Float[Array, "dim"]], Float[Array, "n"]]
@@ -23,7 +24,10 @@ def orders(count: int) -> Int[Array, "P K"]:
 
 
 def fitting_order(
-    phi: Phi, constants: Float[Array, "n"] | None, x: Float[Array, "T K 2"]
+    phi: Phi,
+    constants: Float[Array, "n"] | None,
+    x: Float[Array, "T K 2"],
+    place: Callable[[Float[Array, "T dim"]], Float[Array, "2"]] | None = None,
 ) -> tuple[Int[Array, "K"], Float[Array, "n"]]:
     """Return the order of keypoints in which the constraints hold best over T frames of one recording.
 
@@ -33,6 +37,7 @@ def fitting_order(
         phi: Φ.
         constants: c; None: for each order the mean of Φ over the frames, which must show a motion.
         x: the observed keypoints.
+        place: gives the place around which Φ holds from flat keypoints `[T, 2K]`; None: the origin.
 
     Returns:
         the order, and c.
@@ -41,6 +46,8 @@ def fitting_order(
 
     def misfit(order: Array) -> tuple[Array, Array]:
         flat = x[:, order].reshape(len(x), -1)
+        if place is not None:
+            flat = moved(flat, place(flat))
         values = jax.vmap(phi)(flat)
         wanted = jnp.mean(values, axis=0) if constants is None else constants
         slopes = jnp.sum(jax.vmap(jax.jacfwd(phi))(flat) ** 2, axis=-1)
@@ -50,6 +57,13 @@ def fitting_order(
     misfits, wanted = jax.vmap(misfit)(choices)
     best = jnp.argmin(misfits)
     return choices[best], wanted[best]
+
+
+def nearest_order(x: Float[Array, "B K 2"], wanted: Float[Array, "B K 2"]) -> Int[Array, "B K"]:
+    """Return the order of keypoints in each frame in which they are nearest to wanted positions."""
+    choices = orders(x.shape[1])
+    apart = jnp.sum((x[:, choices] - wanted[:, None]) ** 2, axis=(2, 3))
+    return choices[jnp.argmin(apart, axis=1)]
 
 
 def arranged(observed: Observation, order: Int[Array, "B K"]) -> Observation:

@@ -7,6 +7,7 @@ from typing import TypeVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from keycld.mechanics import (
     AbstractPotentialTerm,
@@ -24,6 +25,7 @@ from keycld.models.keycld.law_fit import (
     climb,
     fit_from_nothing,
     fit_law,
+    followed,
     lagrangian,
     sound,
     with_law,
@@ -35,9 +37,8 @@ from keycld.models.keycld.tracks import MISSED, SCARCE, Tracks, extent
 _LESS = 0.75
 # Pixels of error with which a law explains the recordings well.
 _GOOD = 0.3
-# A motion whose error is so many times the median has been lost: it began in a wrong state. Fewer motions than the
-# second number do not show it.
-_LOST, _SEVERAL = 5.0, 4
+# Fewer motions do not show which are lost.
+_SEVERAL = 4
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,9 +210,7 @@ def refit(
     if few or tracks.own is not None:
         begin, tracks = explain(dynamics, tracks)
     fitted = fit_law(dynamics, tracks, begin)
-    # Errors of a motion that diverged are no numbers.
-    lost = few or not jnp.max(fitted.errors) <= _LOST * jnp.median(fitted.errors)
-    if tracks.own is None and lost:
+    if tracks.own is None and (few or not np.all(followed(fitted))):
         fitted = cheapest([fitted, climb(dynamics, tracks)])
     free_form = LAST_RESORT in terms_of(lagrangian(dynamics))
     if tried is not None and (anew or free_form):
@@ -219,8 +218,7 @@ def refit(
         other = fit_law(known.dynamics, tracks)
         if sound(other) and not fitted.rms < (_LESS if free_form else 1.0) * other.rms:
             return other, tracks
-    # Motions with own parameters that are lost outweigh all others: next to them a law without a term is hardly worse.
-    if tried is None or not sound(fitted) or (tracks.own is not None and lost):
+    if tried is None or not sound(fitted):
         return fitted, tracks
     if tracks.own is not None:
         fitted = _spared(fitted, tracks, tried.worth)

@@ -110,7 +110,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         renderer=renderer,
         initial_state=_initial_state(config),
         velocity_prior=VelocityPrior.unknown() if config.velocity_prior and not config.own_parameters else None,
-        part_light=PartLight.unknown(scene.height, scene.width) if config.own_parameters else None,
+        part_light=PartLight.unknown(scene.height, scene.width) if config.own_parameters or config.looks else None,
         exchange=bool(config.exchange),
     )
 
@@ -253,11 +253,12 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         small=config.TOLERATED,
         tried=config.tried,
     )
+    last = (refit, measure_own_prior) if config.own_parameters else (measure_part_light, refit, measure_velocity_prior)
     prior = dataclasses.replace(
         joint,
         name="prior",
         steps=0,
-        prepare=sequence(refit, measure_own_prior if config.own_parameters else measure_velocity_prior),
+        prepare=sequence(*last),
         every=0,
         refresh=None,
         judge=judge,

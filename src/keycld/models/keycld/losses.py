@@ -10,7 +10,7 @@ from jaxtyping import Array, Float, Int, PRNGKeyArray
 
 from keycld.data import Clip
 from keycld.mechanics import Scalar, State
-from keycld.models.keycld.exchange import shuffled
+from keycld.models.keycld.exchange import arranged, nearest_order, shuffled
 from keycld.models.keycld.model import AbstractKeypointModel
 from keycld.models.keycld.patches import shared_patches
 from keycld.stages import AbstractLoss, Terms
@@ -269,7 +269,9 @@ class SmoothedLoss(AbstractLoss):
         assert clips.frames is not None and clips.cached is not None
         frames = clips.frames.reshape(-1, *clips.frames.shape[-3:])
         fitted = clips.cached.reshape(len(frames), -1, 2)
-        observed = jax.vmap(model.observe)(frames)
+        observed = jax.vmap(model.estimator)(frames)
+        if model.exchange:
+            observed = arranged(observed, nearest_order(observed.keypoints, fitted))
         terms = {
             "reconstruction": squared_error(
                 jax.vmap(model.renderer)(fitted, _other_looks(observed.looks, clips.frames)), frames

@@ -13,11 +13,13 @@ from keycld.mechanics import (
     Motion,
     SecondOrderNetwork,
     State,
+    rough_places,
 )
 from keycld.models.base import AbstractModel, HasKeypoints, HasLagrangian, Reversible
 from keycld.models.checks import check_inputs, check_size
-from keycld.models.keycld.exchange import arranged, fitting_order
+from keycld.models.keycld.exchange import arranged, fitting_order, orders
 from keycld.models.keycld.initial_state import AbstractInitialState
+from keycld.models.keycld.own_initial_state import OwnInitialState
 from keycld.models.keycld.part_light import PartLight
 from keycld.models.keycld.velocity_prior import VelocityPrior
 from keycld.vision import AbstractEstimator, AbstractRenderer, Observation
@@ -36,8 +38,8 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         renderer: keypoints → frame, eq. (9).
         initial_state: keypoints of the given frames → state.
         velocity_prior: the prior of the initial velocity; None: the velocity is that of the given frames.
-        part_light: the light of the parts, which tells own parameters and where the parts are; None: there are no own
-            parameters.
+        part_light: the light of the parts, which tells own parameters and where the parts are; None: all recordings
+            look alike.
         exchange: parts exchange their looks from recording to recording, and the constraints tell which keypoint is
             which part (`exchange`).
     """
@@ -112,7 +114,10 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         if not self.exchange:
             return observed
         x = jax.lax.stop_gradient(observed.keypoints).reshape(*frames.shape[:2], -1, 2)
-        order, _ = jax.vmap(lambda x: fitting_order(self.constraint, self.initial_state.shared, x))(x)
+        law, own = self.moving_law, isinstance(self.initial_state, OwnInitialState)
+        assert isinstance(law, ConstrainedLagrangian)
+        place = (lambda flat: rough_places(law, flat[None])[0]) if own else None
+        order, _ = jax.vmap(lambda x: fitting_order(self.constraint, self.initial_state.shared, x, place))(x)
         return arranged(observed, order.repeat(frames.shape[1], axis=0))
 
     def keypoints(self, state: State) -> Float[Array, "K 2"]:
@@ -133,14 +138,32 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
     def infer(self, frames: Float[Array, "n H W 3"], dt: Float[Array, ""], u: Float[Array, "..."]) -> State:
         """Estimate the state from the keypoints of the given frames, as many as the initial state can use.
 
-        Looks are the means over the given frames.
+        Looks are the means over the given frames. Where parts exchange their looks and recordings have own parameters,
+        few frames do not tell by Φ which keypoint is which part: the state of the likeliest order counts.
 
         Raises:
             KeycldError: the frames or the inputs do not have the sizes of the training data.
         """
         observed = self.observe_clips(frames[None])
         light = None if self.part_light is None else self.part_light(frames, observed.keypoints)
-        state = self.state_of(observed.keypoints, dt, u, light)
+        if self.exchange and isinstance(self.initial_state, OwnInitialState):
+            check_inputs(u, self.inputs)
+            search, choices = self.initial_state.searched, orders(observed.keypoints.shape[1])
+            states, costs = jax.lax.map(
+                lambda order: search(
+                    self.dynamics,
+                    observed.keypoints[:, order].reshape(len(frames), -1),
+                    dt,
+                    u,
+                    None if light is None else light[order],
+                ),
+                choices,
+            )
+            best = jnp.argmin(costs)
+            state = jax.tree.map(lambda part: part[best], states)
+            observed = arranged(observed, jnp.broadcast_to(choices[best][None], (len(frames), len(choices[best]))))
+        else:
+            state = self.state_of(observed.keypoints, dt, u, light)
         if observed.looks is None:
             return state
         return State(state.coordinates, {**state.parameters, "looks": jnp.mean(observed.looks, axis=0)})

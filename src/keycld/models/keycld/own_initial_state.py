@@ -209,6 +209,17 @@ class OwnInitialState(AbstractInitialState):
         light: Float[Array, "K 4"] | None = None,
     ) -> tuple[State, None]:
         """Return the state at frame 0 from all frames."""
+        return self.searched(dynamics, x, dt, u, light)[0], None
+
+    def searched(
+        self,
+        dynamics: AbstractDynamics,
+        x: Float[Array, "n dim"],
+        dt: Float[Array, ""],
+        u: Float[Array, "..."],
+        light: Float[Array, "K 4"] | None = None,
+    ) -> tuple[State, Float[Array, ""]]:
+        """Return the state at frame 0 from all frames, and the least sum, which tells how likely it is."""
         assert isinstance(dynamics, MechanicalDynamics) and isinstance(dynamics.law, ConstrainedLagrangian)
         (count, dim), law = x.shape, dynamics.law
         prior, phi = self.prior, law.constraint_function
@@ -259,7 +270,8 @@ class OwnInitialState(AbstractInitialState):
 
         guesses = _AWAY * jnp.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         ends, costs = jax.vmap(search)(guesses)
-        return state(ends[jnp.argmin(costs)]), None
+        best = jnp.argmin(costs)
+        return state(ends[best]), costs[best]
 
 
 def _sizes(constants: Any, powers: Any) -> Array:

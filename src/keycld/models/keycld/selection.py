@@ -81,6 +81,8 @@ def select_terms(fitted: Fitted, tracks: Tracks, tried: Tried) -> tuple[Mechanic
     """
     fitted = _with_own_held(fitted, tracks)
     paths = fitted.paths if fitted.own is None else jax.vmap(moved)(fitted.paths, fitted.own[:, :2])
+    near = np.flatnonzero(fitted.followed)
+    paths, tracks = paths[near], tracks[near]
     kinds = terms_of(lagrangian(fitted.dynamics))
     parameters, rest = eqx.partition(fitted.dynamics, free_leaves(fitted.dynamics))
     numbers = _Numbers.of(parameters, kinds)

@@ -40,7 +40,7 @@ class Tracks:
     own: Own | None = None
     among: tuple[str, ...] = ()
 
-    def __getitem__(self, recordings: slice) -> "Tracks":
+    def __getitem__(self, recordings: slice | np.ndarray) -> "Tracks":
         """Return some of the recordings."""
         own = self.own
         if own is not None:

@@ -102,6 +102,8 @@ class DoublePendulumColors(AbstractDoublePendulum):
     ranges = _VARIED
     half_width = 2.0 + disc_radius(0.6)
     varied = True
+    keypoints = ("inner", "outer")
+    looks_differ = True
     hues = 6
 
 
@@ -117,5 +119,7 @@ class DoublePendulumColorsFriction(AbstractDoublePendulum):
     ranges = _VARIED
     half_width = 2.0 + disc_radius(0.6)
     varied = True
+    keypoints = ("inner", "outer")
+    looks_differ = True
     friction = 0.05
     hues = 6

@@ -176,8 +176,8 @@ class FastConfig(KeyCLDConfig):
     """
     exchange: bool | None = None
     """The parts may swap their appearance between recordings, so the constraints must tell which keypoint is which
-    part. Default: true if there are looks, two to six keypoints with constraints, shared constants, and no own
-    parameters.
+    part. Default: true if there are looks, and two to six keypoints with constraints whose constants are shared or
+    around own places.
     """
     velocity_prior: bool = True
     """Predictions use a prior of the initial velocity, measured on the training recordings, of which many begin at rest
@@ -217,13 +217,13 @@ class FastConfig(KeyCLDConfig):
         if config.own_parameters is None and own:
             config = dataclasses.replace(config, own_parameters=True)
         told_apart = bool(config.model == "keycld" and 1 < config.keypoints <= MOST_ORDERED and config.phi.items)
-        told_apart = told_apart and bool(config.looks and config.shared_constants) and not config.own_parameters
+        told_apart = told_apart and bool(config.looks and (config.shared_constants or config.own_parameters))
         if config.exchange is None and told_apart:
             config = dataclasses.replace(config, exchange=True)
         if config.exchange and not told_apart:
             raise KeycldError(
-                f"exchange needs the model keycld with looks (--looks 4), shared constants, constraints on 2 to "
-                f"{MOST_ORDERED} keypoints and no own parameters: leave the setting out, or choose these."
+                f"exchange needs the model keycld with looks (--looks 4), constraints on 2 to {MOST_ORDERED} "
+                "keypoints, and shared constants or own parameters: leave the setting out, or choose these."
             )
         return config
 
