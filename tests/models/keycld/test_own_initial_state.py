@@ -25,6 +25,7 @@ from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.models import Scene, config_for
 from keycld.models.keycld import prepare
 from keycld.models.keycld.identify import identify, refit
+from keycld.models.keycld.law_fit import climb
 from keycld.models.keycld.losses import SmoothedLoss
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
 from keycld.models.keycld.part_light import PartLight, most_frequent
@@ -286,6 +287,21 @@ def guessed(place, factor):
     """Return a first guess of own parameters and a wide prior around it."""
     numbers = jnp.asarray(np.column_stack([place, factor, np.zeros(len(factor))]), jnp.float32)
     return Own(numbers, numbers, jnp.diag((1e-3 / jnp.array([0.3, 0.3, 0.5, 0.5])) ** 2))
+
+
+@pytest.mark.slow
+def test_motions_that_a_fit_has_lost_do_not_speak_for_the_law():
+    """Two of 24 are of nothing that a spring does; the others are followed to their errors."""
+    _, mass, tracks = observed(3e-4)
+    t = jnp.linspace(0, 1, 80)
+    x = tracks.x.at[5, :, 1].set(0.4 * jnp.sign(jnp.sin(40 * t))).at[11, :, 0].set(0.3 * jnp.sin(25 * t))
+    tracks = dataclasses.replace(tracks, x=x, own=guessed(jnp.mean(x, axis=1), np.zeros(24)))
+    fitted = climb(on_a_line(springs=Springs(jnp.array([[2.5]]))), tracks)
+    np.testing.assert_array_equal(np.flatnonzero(~np.asarray(fitted.followed)), [5, 11])
+    assert float(fitted.rms) < 3.5e-4 and np.all(np.asarray(fitted.errors)[[5, 11]] > 1e-2)
+    heard = np.asarray(fitted.followed)
+    ratio = np.asarray(fitted.own)[heard, 2] - np.log(mass)[heard]
+    assert np.ptp(ratio) < 0.02
 
 
 @pytest.mark.slow

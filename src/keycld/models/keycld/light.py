@@ -253,12 +253,13 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         small=config.TOLERATED,
         tried=config.tried,
     )
-    last = (refit, measure_own_prior) if config.own_parameters else (measure_part_light, refit, measure_velocity_prior)
+    # Own parameters are told by the exact places from the stage dynamics on.
+    exact = (measure_part_light,) if config.looks and not config.own_parameters else ()
     prior = dataclasses.replace(
         joint,
         name="prior",
         steps=0,
-        prepare=sequence(*last),
+        prepare=sequence(*exact, refit, measure_own_prior if config.own_parameters else measure_velocity_prior),
         every=0,
         refresh=None,
         judge=judge,
