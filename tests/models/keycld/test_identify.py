@@ -342,6 +342,7 @@ def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatc
     for module in (prepare, light):
         monkeypatch.setattr(module, "fit_dynamics", lambda model, data, **how: asked.append(how) or (model, data))
         monkeypatch.setattr(module, "measure_velocity_prior", lambda model, data: (model, data))
+    monkeypatch.setattr(light, "measure_part_light", lambda model, data: (model, data))
     config = config_for("keycld", preset, constraints=Constraints(("bob",), (DistanceToPoint("bob"),)))
     data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
     config.stages(Scene(height=16, width=16, inputs=0, frames=10, dt=0.05, trajectories=3))[-1].prepare(None, data)

@@ -162,6 +162,23 @@ def test_discs_that_explain_the_light_and_are_near_are_taken(shape, pixels, take
     found = prepare.measure_part_light(model, data)[0].part_light
     assert bool(found.discs) is taken
     np.testing.assert_allclose(found.background[:4], 0.2, atol=1e-6)
+    assert not prepare.measure_part_light(model, data, discs=False)[0].part_light.discs
+
+
+@pytest.mark.parametrize(("shape", "taken"), [("disc", True), ("square", False)])
+def test_a_model_of_discs_is_built_again_from_its_settings(shape, taken):
+    """Also where no parameters differ; of other parts it does not look at the light."""
+    config = config_for("keycld", "fast", width=8, terms=("springs",)).completed(get("toy/mass_spring"))
+    scene = dataclasses.replace(SCENE, height=32, width=32)
+    model = config.build(scene, jax.random.key(0))
+    assert model.part_light is None and "discs" not in config.settings()
+    model = eqx.tree_at(lambda m: m.estimator, model, MiddleOfLight(0.3 * 2 / 31))
+    model, _ = prepare.measure_part_light(model, Resident(a_part(shape), jnp.zeros((24, 0)), DT))
+    assert (model.part_light is not None) is taken
+    again = config.matching(model)
+    assert again.settings().get("discs") is (True if taken else None)
+    built = again.build(scene, jax.random.key(0))
+    assert jax.tree.structure(built.part_light) == jax.tree.structure(model.part_light)
 
 
 def test_keypoints_of_discs_are_their_centres_and_far_ones_stay():

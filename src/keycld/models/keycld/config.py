@@ -30,8 +30,6 @@ class KeyCLDConfig(ModelConfig):
     }
     ADDED: ClassVar[Mapping[str, float]] = {
         "initial_state.error": 0.003,
-        "part_light.background": 0.5,
-        "part_light.discs": 0.0,
         "dynamics.law.potential.terms.pairs.offset": 0.0,
     }
     HALF: ClassVar[tuple[str, ...]] = ("estimator.", "renderer.")

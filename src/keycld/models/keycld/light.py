@@ -110,7 +110,7 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
         renderer=renderer,
         initial_state=_initial_state(config),
         velocity_prior=VelocityPrior.unknown() if config.velocity_prior and not config.own_parameters else None,
-        part_light=PartLight.unknown(scene.height, scene.width) if config.own_parameters or config.looks else None,
+        part_light=PartLight.unknown(scene.height, scene.width) if config.own_parameters or config.discs else None,
         exchange=bool(config.exchange),
     )
 
@@ -118,6 +118,11 @@ def build(config: "FastConfig", scene: Scene, key: PRNGKeyArray) -> AbstractKeyp
 def kinds(model: AbstractModel) -> tuple[str, ...] | None:
     """Return the kinds of the terms in V and R of a model; None if it has no Lagrangian."""
     return tuple(terms_of(model.law)) if isinstance(model, KeyCLD) else None
+
+
+def knows_discs(model: AbstractModel) -> bool:
+    """Return whether a model has found the light of discs, or may have."""
+    return isinstance(model, KeyCLD) and model.part_light is not None
 
 
 def _initial_state(config: "FastConfig") -> AbstractInitialState:
@@ -240,7 +245,7 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
     else:
         identify = functools.partial(identify_dynamics, terms=config.terms, tried=config.tried)
         if config.own_parameters:
-            identify = sequence(measure_part_light, identify)
+            identify = sequence(functools.partial(measure_part_light, discs=config.discs is not False), identify)
         judge = functools.partial(judge_dynamics, worst=worst, small=_SMALL, tried=config.tried)
         dynamics = dataclasses.replace(
             joint, name="dynamics", steps=0, prepare=identify, every=0, refresh=None, judge=judge
@@ -253,8 +258,9 @@ def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
         small=config.TOLERATED,
         tried=config.tried,
     )
-    # Own parameters are told by the exact places from the stage dynamics on.
-    exact = (measure_part_light,) if config.looks and not config.own_parameters else ()
+    # Own parameters are told by exact places from the stage dynamics on.
+    late = config.model == "keycld" and config.discs is not False and not config.own_parameters
+    exact = (measure_part_light,) if late else ()
     prior = dataclasses.replace(
         joint,
         name="prior",

@@ -38,8 +38,7 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         renderer: keypoints → frame, eq. (9).
         initial_state: keypoints of the given frames → state.
         velocity_prior: the prior of the initial velocity; None: the velocity is that of the given frames.
-        part_light: the light of the parts, which tells own parameters and where the parts are; None: all recordings
-            look alike.
+        part_light: the light of the parts, which tells own parameters and where discs are; None: there are neither.
         exchange: parts exchange their looks from recording to recording, and the constraints tell which keypoint is
             which part (`exchange`).
     """

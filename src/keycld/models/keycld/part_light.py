@@ -64,10 +64,6 @@ class PartLight(eqx.Module):
         """Return c [n, K, 2], image-plane units: a keypoint more than 2 pixels from its disc stays where it is."""
         return jax.lax.cond(self.discs > 0, lambda: self._centres(frames, keypoints), lambda: keypoints)
 
-    def left(self, frames: Float[Array, "n H W 3"], keypoints: Float[Array, "n K 2"]) -> Float[Array, "n"]:
-        """Return the share of the light in each frame that discs do not explain (`fit_discs`)."""
-        return fit_discs(frames, self.background, keypoints).left
-
     def _centres(self, frames: Array, keypoints: Array) -> Array:
         away = fit_discs(frames, self.background, keypoints).centres - keypoints
         near = jnp.sum(away**2, axis=-1, keepdims=True) < (_FAR * pixel_size(*self.background.shape[:2])) ** 2

@@ -37,7 +37,7 @@ from keycld.models.keycld.part_light import PartLight, most_frequent
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
 from keycld.models.keycld.velocity_prior import VelocityPrior
-from keycld.vision import pixel_size, still_background
+from keycld.vision import fit_discs, pixel_size, still_background
 
 # Mean frame and deviation are measured on at least so many trajectories, if there are as many.
 _MEASURED = 200
@@ -131,31 +131,33 @@ def share_constants(model: Any, data: Resident) -> tuple[Any, Resident]:
     return _sharing(model, data.cached), data
 
 
-def measure_part_light(model: Any, data: Resident) -> tuple[Any, Resident]:
-    """Measure the background of the light of the parts (`PartLight`), and whether they are soft discs.
+def measure_part_light(model: Any, data: Resident, *, discs: bool = True) -> tuple[Any, Resident]:
+    """Measure the background of the light of the parts (`PartLight`), and whether these are soft discs.
 
     They are if discs leave less than 3 % of the light, and are within a pixel of the keypoints, in the median. A model
-    that does not look at the light is returned unchanged.
+    without own parameters looks at the light of discs alone.
+
+    Args:
+        model: the model whose parts are looked at.
+        data: the training data.
+        discs: whether the parts may be discs.
     """
-    if model.part_light is None:
-        return model, data
     some, begin, _ = _chosen(data, FITTED)
     frames = np.stack([np.asarray(data.image[i][k]) for i, k in zip(some, begin, strict=True)])
     background = jnp.asarray(most_frequent(frames), jnp.float32)
-    plain, discs = (
-        eqx.tree_at(lambda m: m.part_light, model, PartLight(background, jnp.asarray(each))) for each in (0.0, 1.0)
-    )
-    looked = [data.image[i][k : k + _SEEN] for i, k in zip(some, begin, strict=True)]
-    x, c = (np.asarray([_observe(each, image) for image in looked]) for each in (plain, discs))
-    left = float(np.median([_left(plain, image) for image in looked]))
-    away = np.median(np.abs(c - x)) / pixel_size(*data.shape[2:4])
-    better = away < 1 and left < _UNEXPLAINED
+    looked = [_discs(model, data.image[i][k : k + _SEEN], background) for i, k in zip(some, begin, strict=True)]
+    away, left = (float(np.median(np.abs(each))) for each in zip(*looked, strict=True))
+    away = away / pixel_size(*data.shape[2:4])
+    taken = discs and away < 1 and left < _UNEXPLAINED
     print(
         f"light        discs are {away:.2f} pixels from the keypoints and leave {100 * left:.1f} % of the light: "
-        f"{'taken' if better else 'not taken'}",
+        f"{'taken' if taken else 'not taken'}",
         flush=True,
     )
-    return (discs if better else plain), data
+    if not taken and model.part_light is None:
+        return model, data
+    light = PartLight(background, jnp.asarray(float(taken)))
+    return eqx.tree_at(lambda m: m.part_light, model, light, is_leaf=lambda x: x is None), data
 
 
 def identify_dynamics(
@@ -417,9 +419,12 @@ def _light(model: Any, image: jax.Array) -> jax.Array:
 
 
 @eqx.filter_jit
-def _left(model: Any, image: jax.Array) -> jax.Array:
+def _discs(model: Any, image: jax.Array, background: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Return how far discs are from the keypoints, and the light that they leave."""
     frames = image.astype(jnp.float32) / 255.0
-    return model.part_light.left(frames, model.observe_clips(frames[None]).keypoints)
+    x = model.observe_clips(frames[None]).keypoints
+    found = fit_discs(frames, background, x)
+    return found.centres - x, found.left
 
 
 @eqx.filter_jit

@@ -115,7 +115,7 @@ class JointStage:
 
 _LOOKS = 4
 # Settings that stand in the records of trainings that need them alone, so that older records hold.
-_WHERE_NEEDED = ("looks", "own_parameters", "exchange")
+_WHERE_NEEDED = ("looks", "own_parameters", "exchange", "discs")
 _FLAT = {
     **{f"vision_{name}": f"vision.{name}" for name in ("steps", "batch", "rate")},
     **{name: f"vision.{name}" for name in ("candidates", "trial")},
@@ -178,6 +178,10 @@ class FastConfig(KeyCLDConfig):
     """The parts may swap their appearance between recordings, so the constraints must tell which keypoint is which
     part. Default: true if there are looks, and two to six keypoints with constraints whose constants are shared or
     around own places.
+    """
+    discs: bool | None = None
+    """Keypoints are the centres of soft discs that are fitted to each frame. Default: if the training finds that such
+    discs explain the pictures; false: never.
     """
     velocity_prior: bool = True
     """Predictions use a prior of the initial velocity, measured on the training recordings, of which many begin at rest
@@ -270,11 +274,14 @@ class FastConfig(KeyCLDConfig):
         return kept | ({"joint": joint} if joint else {}) | {"terms": ["perceptron-32"], "input_width": 32}
 
     def matching(self, model: "AbstractModel") -> "FastConfig":
-        """Return the config with the terms of the model's V and R, which training may have found."""
+        """Return the config with the terms of the model's V and R, and with discs, which training may have found."""
         from keycld.models.keycld import light
 
         kinds = light.kinds(model)
-        return self if kinds is None else dataclasses.replace(self, terms=kinds)
+        if kinds is None:
+            return self
+        found = light.knows_discs(model) and not self.own_parameters
+        return dataclasses.replace(self, terms=kinds, discs=found or self.discs)
 
     def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractKeypointModel":
         """Build KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE."""
