@@ -130,12 +130,12 @@ def test_the_light_of_a_part_is_a_sum_over_its_pixels():
     np.testing.assert_array_equal(eqx.filter_jit(light.moved)(frame[None], keypoints), keypoints)
 
 
-def a_part(shape, count=24, frames=12):
+def a_part(shape, count=24, frames=12, radius=0.15):
     """Return pictures `[N, T, 32, 32, 3]` of a disc, or of a square, that moves along y."""
     y = np.random.default_rng(0).uniform(-0.7, 0.5, (count, 1)) + 0.02 * np.arange(frames)
     away = np.abs(np.asarray(image_grid(32, 32)) - np.stack([0 * y, y], axis=-1)[:, :, None, None])
     size = np.linalg.norm(away, axis=-1) if shape == "disc" else np.max(away, axis=-1)
-    mask = 1 / (1 + np.exp((size - 0.15) / 0.025))
+    mask = 1 / (1 + np.exp((size - radius) / 0.025))
     return jnp.asarray(np.round(255 * (0.2 + 0.5 * mask[..., None] * np.array([1, 0.2, -0.3]))), jnp.uint8)
 
 
@@ -179,6 +179,19 @@ def test_a_model_of_discs_is_built_again_from_its_settings(shape, taken):
     assert again.settings().get("discs") is (True if taken else None)
     built = again.build(scene, jax.random.key(0))
     assert jax.tree.structure(built.part_light) == jax.tree.structure(model.part_light)
+
+
+def test_discs_of_two_recordings_have_sizes_of_their_own():
+    """Seen together they are where each is seen alone."""
+    model = config_for("keycld", "fast", width=8, discs=True).completed(get("toy/mass_spring"))
+    model = model.build(dataclasses.replace(SCENE, height=32, width=32), jax.random.key(0))
+    light = PartLight(jnp.full((32, 32, 3), 0.2), jnp.ones(()))
+    model = eqx.tree_at(lambda m: (m.estimator, m.part_light), model, (MiddleOfLight(0.3 * 2 / 31), light))
+    frames = jnp.stack([a_part("disc", radius=radius)[0, :4] for radius in (0.12, 0.25)]).astype(jnp.float32) / 255
+    together = eqx.filter_jit(model.observe_clips)(frames).keypoints
+    alone = [eqx.filter_jit(model.observe_clips)(frames[k : k + 1]).keypoints for k in range(2)]
+    np.testing.assert_allclose(together, jnp.concatenate(alone), atol=1e-6)
+    np.testing.assert_allclose(together[:, :, 0], 0, atol=4e-4)
 
 
 def test_keypoints_of_discs_are_their_centres_and_far_ones_stay():

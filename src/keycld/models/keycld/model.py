@@ -109,7 +109,10 @@ class AbstractKeypointModel(AbstractModel, HasKeypoints, Reversible):
         each = frames.reshape(-1, *frames.shape[2:])
         observed = jax.vmap(self.estimator)(each)
         if self.part_light is not None:
-            observed = observed._replace(keypoints=self.part_light.moved(each, observed.keypoints))
+            x = observed.keypoints.reshape(*frames.shape[:2], -1, 2)
+            light = self.part_light
+            moved = jax.lax.map(lambda recording: light.moved(*recording), (frames, x))
+            observed = observed._replace(keypoints=moved.reshape(observed.keypoints.shape))
         if not self.exchange:
             return observed
         x = jax.lax.stop_gradient(observed.keypoints).reshape(*frames.shape[:2], -1, 2)

@@ -136,7 +136,8 @@ class FastConfig(KeyCLDConfig):
     2. `dynamics`: no steps; identifies the forces that act, and their strength, from the keypoints of whole recordings.
     3. `joint`: all parts together, over growing horizons; every 400 steps a least-squares fit of the dynamics to whole
        recordings.
-    4. `prior`: no steps; fits once more and measures the velocity prior. Then the validation score.
+    4. `prior`: no steps; looks whether the parts are discs (`fit_discs`), fits once more and measures the velocity
+       prior. Then the validation score.
     """
 
     RENAMED: ClassVar[dict[str, str]] = KeyCLDConfig.RENAMED | {
