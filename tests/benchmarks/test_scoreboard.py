@@ -51,7 +51,7 @@ def scored(experiment, place, forward, backward=0.0, error=1.0):
 
 def test_the_suite_is_every_model_on_every_set():
     experiments = suite_named("priors").select()
-    assert len(experiments) == 7 * 17 + 9
+    assert len(experiments) == 7 * 17 + 11
     assert list(dict.fromkeys(each.model for each in experiments)) == [*PRIORS_TITLES, "keycld"]
     assert {each.data.folder for each in experiments} >= {"toy/mass_spring-2000-200", "md/lj_4-2100-200"}
     assert Experiment.from_json(experiments[0].to_json()) == experiments[0]
