@@ -227,7 +227,8 @@ def _blank(config: ModelConfig, scene: Scene) -> AbstractModel:
 def _changes(config: ModelConfig, trained: ModelConfig) -> dict[str, Any]:
     """Return the settings that training has changed."""
     before, after = config.settings(), trained.settings()
-    return {name: value for name, value in after.items() if value != before[name]}
+    # A setting that is left out where nothing needs it is None there.
+    return {name: value for name, value in after.items() if value != before.get(name)}
 
 
 def finished(run: str | Path) -> bool:

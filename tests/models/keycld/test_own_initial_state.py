@@ -33,6 +33,7 @@ from keycld.models.keycld.prepare import own_guess
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
 from keycld.systems import get
+from keycld.training.runs import _changes
 from keycld.vision import Observation, image_grid
 
 SCENE = Scene(height=16, width=16, inputs=0, frames=12, dt=0.05, trajectories=6)
@@ -175,9 +176,9 @@ def test_a_model_of_discs_is_built_again_from_its_settings(shape, taken):
     model = eqx.tree_at(lambda m: m.estimator, model, MiddleOfLight(0.3 * 2 / 31))
     model, _ = prepare.measure_part_light(model, Resident(a_part(shape), jnp.zeros((24, 0)), DT))
     assert (model.part_light is not None) is taken
-    again = config.matching(model)
-    assert again.settings().get("discs") is (True if taken else None)
-    built = again.build(scene, jax.random.key(0))
+    changes = _changes(config, config.matching(model))
+    assert changes == ({"discs": True} if taken else {})
+    built = config.changed(changes).build(scene, jax.random.key(0))
     assert jax.tree.structure(built.part_light) == jax.tree.structure(model.part_light)
 
 
