@@ -42,8 +42,8 @@ def fit_law(
 ) -> Fitted:
     """Fit dynamics and the motions of recordings together to keypoints.
 
-    Motions with own parameters that an earlier fit has lost say nothing of the law: three of 150 motions of a double
-    pendulum, 2 pixels off, next to 0.002 of the others, hid that its friction is that of hinges.
+    Motions with own parameters that an earlier fit has lost say nothing of the law: four of 150 motions of a double
+    pendulum, up to 3 pixels off, next to 0.002 of the others, hid that its friction is that of hinges.
 
     Args:
         dynamics: where the fit begins.

@@ -54,6 +54,8 @@ _WIDE, _EXACT = (0.3, 0.5), 1e-3
 _SEEN = 5
 # Share of the light that discs may leave. Of soft discs in 256 values it is 1 %.
 _UNEXPLAINED = 0.03
+# About how many recordings show whether parts are discs.
+_LOOKED = 24
 
 
 def measure_statistics(model: Any, data: Resident) -> tuple[Any, Resident]:
@@ -145,7 +147,8 @@ def measure_part_light(model: Any, data: Resident, *, discs: bool = True) -> tup
     some, begin, _ = _chosen(data, FITTED)
     frames = np.stack([np.asarray(data.image[i][k]) for i, k in zip(some, begin, strict=True)])
     background = jnp.asarray(most_frequent(frames), jnp.float32)
-    looked = [_discs(model, data.image[i][k : k + _SEEN], background) for i, k in zip(some, begin, strict=True)]
+    few = list(zip(some, begin, strict=True))[:: max(1, len(some) // _LOOKED)]
+    looked = [_discs(model, data.image[i][k : k + _SEEN], background) for i, k in few]
     away, left = (float(np.median(np.abs(each))) for each in zip(*looked, strict=True))
     away = away / pixel_size(*data.shape[2:4])
     taken = discs and away < 1 and left < _UNEXPLAINED
