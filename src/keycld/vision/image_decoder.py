@@ -72,8 +72,12 @@ class ImageDecoder(eqx.Module):
 
     def __call__(self, x: Float[Array, "inputs"]) -> Float[Array, "H W 3"]:
         """Render one picture with values in (0, 1)."""
+        return jax.nn.sigmoid(self.logits(x))
+
+    def logits(self, x: Float[Array, "inputs"]) -> Float[Array, "H W 3"]:
+        """Return what the logistic function maps to the values of a picture."""
         cells = x if self.cells is None else self.cells(x)
         y = jnp.concatenate([self.constants, cells.reshape(*self.coarse, -1)], axis=-1)
         for k, convolution in enumerate(self.convolutions[:-1]):
             y = jax.nn.leaky_relu(convolution(upsample(y) if k % 2 == 0 else y), self.slope)
-        return jax.nn.sigmoid(self.convolutions[-1](y))
+        return self.convolutions[-1](y)

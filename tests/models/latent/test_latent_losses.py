@@ -77,6 +77,25 @@ def test_training_samples_the_latent_vector(getkey, clips):
     np.testing.assert_allclose(errors(certain(model)), errors(certain(model))[0], rtol=1e-6)
 
 
+def test_a_picture_that_is_wrong_and_saturated_is_left_through_the_cross_entropy(getkey, clips):
+    """Values rendered as 1 − 2e−9: no gradient of the squared error, (1 − x) w / 3 by the bias of a colour."""
+    model = certain(built(getkey()))
+    at = lambda m: (m.decoder.convolutions[-1].bias, m.decoder.convolutions[-1].kernel)  # noqa: E731
+    model = eqx.tree_at(at, model, (jnp.full(3, 20.0), jnp.zeros_like(at(model)[1])))
+
+    @eqx.filter_jit
+    def slope(model, weight):
+        loss = ELBOLoss(0.0, False, FORWARD._replace(cross_entropy=weight))
+        with_model = eqx.filter_value_and_grad(lambda m: loss(m, clips, key=jax.random.key(0), step=jnp.array(0))[0])
+        value, gradient = with_model(model)
+        return value, at(gradient)[0]
+
+    (value, none), (same, some) = slope(model, 0.0), slope(model, 0.3)
+    assert float(value) == float(same)
+    np.testing.assert_allclose(none, 0.0, atol=1e-7)
+    np.testing.assert_allclose(some, 0.1 * np.mean(1.0 - clips.frames[:, 4:], axis=(0, 1, 2, 3)), rtol=1e-4)
+
+
 def test_forward_targets_begin_with_the_last_given_frame(getkey, clips):
     model = certain(built(getkey()))
     found = reconstruct(model, clips, getkey(), FORWARD)

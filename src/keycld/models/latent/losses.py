@@ -25,7 +25,7 @@ HALF_LOG_PI = 0.5 * math.log(math.pi)
 
 
 class Targets(NamedTuple):
-    """Which frames of a window are compared with rendered ones.
+    """Which frames of a window are compared with rendered ones, and how.
 
     Attributes:
         both_ways: False: the encoder sees the first frames of each window. True: for the second half of the batch it
@@ -33,12 +33,16 @@ class Targets(NamedTuple):
         given: whether frames before the state's are targets too.
         rendered: how many random targets of each window are rendered; 0 for all.
         at_once: frames that are rendered in parallel.
+        cross_entropy: weight w of the pixels' cross-entropy beside their squared error. For a value x rendered as
+            σ(l), the gradient by l is 2 (σ(l) − x) σ′(l) of the squared error, which vanishes where a wrong value is
+            0 or 1, and w (σ(l) − x) of this one. Only the gradient counts: losses and errors leave its value out.
     """
 
     both_ways: bool
     given: bool
     rendered: int
     at_once: int
+    cross_entropy: float = 0.0
 
 
 class Reconstruction(NamedTuple):
@@ -161,7 +165,12 @@ def reconstruct(
 
     def squared_error(decoder: ImageDecoder, pair: tuple[Array, Array]) -> Array:
         shown, frame = pair
-        return jnp.mean((decoder(shown) - frame) ** 2)
+        logits = decoder.logits(shown)
+        error = jnp.mean((jax.nn.sigmoid(logits) - frame) ** 2)
+        if not targets.cross_entropy:
+            return error
+        beside = targets.cross_entropy * jnp.mean(optax.sigmoid_binary_cross_entropy(logits, frame))
+        return error + (beside - jax.lax.stop_gradient(beside))
 
     flat = (visible.reshape(-1, visible.shape[-1]), frames.reshape(-1, height, width, 3))
     posterior = Gaussian(*(jnp.concatenate(part) for part in zip(*posteriors, strict=True)))
