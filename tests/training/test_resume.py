@@ -344,8 +344,8 @@ def test_a_latent_model_of_schema_8_was_trained_without_cross_entropy():
     old = {name: value for name, value in config.settings().items() if name != "cross_entropy"}
     before = config.changed(config.migrated(old, 8))
     scene = Scene(32, 32, 0, 256, 0.05, 100)
-    assert [stage.loss.targets.cross_entropy for stage in config.stages(scene)] == [0.1, 0.0, 0.0, 0.0]
-    assert [stage.loss.targets.cross_entropy for stage in before.stages(scene)] == [0.0, 0.0, 0.0, 0.0]
+    assert [stage.loss.targets.cross_entropy for stage in config.stages(scene)] == [0.1, None, None, None]
+    assert [stage.loss.targets.cross_entropy for stage in before.stages(scene)] == [None] * 4
     assert config.migrated(config.settings(), 9) == config.settings()
 
 

@@ -90,10 +90,10 @@ def test_a_picture_that_is_wrong_and_saturated_is_left_through_the_cross_entropy
         value, gradient = with_model(model)
         return value, at(gradient)[0]
 
-    (value, none), (same, some) = slope(model, 0.0), slope(model, 0.3)
+    (value, unmoved), (same, moved) = slope(model, None), slope(model, 0.3)
     assert float(value) == float(same)
-    np.testing.assert_allclose(none, 0.0, atol=1e-7)
-    np.testing.assert_allclose(some, 0.1 * np.mean(1.0 - clips.frames[:, 4:], axis=(0, 1, 2, 3)), rtol=1e-4)
+    np.testing.assert_allclose(unmoved, 0.0, atol=1e-7)
+    np.testing.assert_allclose(moved, 0.1 * np.mean(1.0 - clips.frames[:, 4:], axis=(0, 1, 2, 3)), rtol=1e-4)
 
 
 def test_forward_targets_begin_with_the_last_given_frame(getkey, clips):

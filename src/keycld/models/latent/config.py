@@ -142,7 +142,7 @@ class LatentConfig(ModelConfig):
         from keycld.models.latent.losses import ELBOLoss, GECOLoss, Targets
 
         at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
-        targets = Targets(self.both_ways, self.given_are_targets, self.rendered, at_once, cross_entropy)
+        targets = Targets(self.both_ways, self.given_are_targets, self.rendered, at_once, cross_entropy or None)
         consistency = self.consistency or None
         if self.objective == "geco":
             return GECOLoss(self.kappa, self.rate, targets, consistency)

@@ -35,14 +35,15 @@ class Targets(NamedTuple):
         at_once: frames that are rendered in parallel.
         cross_entropy: weight w of the pixels' cross-entropy beside their squared error. For a value x rendered as
             σ(l), the gradient by l is 2 (σ(l) − x) σ′(l) of the squared error, which vanishes where a wrong value is
-            0 or 1, and w (σ(l) − x) of this one. Only the gradient counts: losses and errors leave its value out.
+            0 or 1, and w (σ(l) − x) of this one. Only the gradient counts: losses and errors leave its value out. None:
+            no such gradient.
     """
 
     both_ways: bool
     given: bool
     rendered: int
     at_once: int
-    cross_entropy: float = 0.0
+    cross_entropy: float | None = None
 
 
 class Reconstruction(NamedTuple):
@@ -167,7 +168,7 @@ def reconstruct(
         shown, frame = pair
         logits = decoder.logits(shown)
         error = jnp.mean((jax.nn.sigmoid(logits) - frame) ** 2)
-        if not targets.cross_entropy:
+        if targets.cross_entropy is None:
             return error
         beside = targets.cross_entropy * jnp.mean(optax.sigmoid_binary_cross_entropy(logits, frame))
         return error + (beside - jax.lax.stop_gradient(beside))
