@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from keycld.vision.convolution import convolve
+from keycld.vision.convolution import convolve, convolve_doubled
 
 
 def plain(x, kernel, stride):
@@ -30,6 +30,22 @@ def test_value_and_gradients(size, stride, side):
     np.testing.assert_allclose(ours(x, kernel), theirs(x, kernel), atol=1e-5)
     for mine, expected in zip(*(jax.grad(objective(f), (0, 1))(x, kernel) for f in (ours, theirs)), strict=True):
         np.testing.assert_allclose(mine, expected, atol=2e-4)
+
+
+@pytest.mark.parametrize("side", [1, 4])
+def test_doubled_pictures(side):
+    """They are never made: value and gradients are those of XLA's convolution of them."""
+    x, kernel = example(3, side)
+
+    def theirs(x, kernel):
+        return plain(jnp.repeat(jnp.repeat(x, 2, 1), 2, 2), kernel, 1)
+
+    np.testing.assert_allclose(convolve_doubled(x, kernel), theirs(x, kernel), atol=1e-5)
+    gradients = (jax.grad(objective(f), (0, 1))(x, kernel) for f in (convolve_doubled, theirs))
+    for mine, expected in zip(*gradients, strict=True):
+        np.testing.assert_allclose(mine, expected, atol=2e-4)
+    kernels = jnp.stack([kernel, 2 * kernel])
+    np.testing.assert_allclose(jax.vmap(convolve_doubled, (None, 0))(x, kernels)[1], theirs(x, kernels[1]), atol=1e-4)
 
 
 @pytest.mark.parametrize("stride", [1, 2])

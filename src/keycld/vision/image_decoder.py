@@ -7,7 +7,7 @@ from jaxtyping import Array, Float, PRNGKeyArray
 
 from keycld.mechanics import Linear, truncated_normal
 from keycld.vision.fully_connected import halvings_to_four
-from keycld.vision.layers import Conv, upsample
+from keycld.vision.layers import Conv
 
 
 class ImageDecoder(eqx.Module):
@@ -79,5 +79,5 @@ class ImageDecoder(eqx.Module):
         cells = x if self.cells is None else self.cells(x)
         y = jnp.concatenate([self.constants, cells.reshape(*self.coarse, -1)], axis=-1)
         for k, convolution in enumerate(self.convolutions[:-1]):
-            y = jax.nn.leaky_relu(convolution(upsample(y) if k % 2 == 0 else y), self.slope)
+            y = jax.nn.leaky_relu(convolution(y) if k % 2 else convolution.doubled(y), self.slope)
         return self.convolutions[-1](y)

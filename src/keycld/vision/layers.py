@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from keycld.vision.convolution import convolve
+from keycld.vision.convolution import convolve, convolve_doubled
 
 _FLAX = jax.nn.initializers.lecun_normal()
 
@@ -56,6 +56,11 @@ class Conv(eqx.Module):
     def __call__(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h2 w2 outputs"]:
         """Convolve one example."""
         y = convolve(x[None], self.kernel.astype(x.dtype), self.stride)[0]
+        return y + self.bias.astype(x.dtype)[None, None, :]
+
+    def doubled(self, x: Float[Array, "h w inputs"]) -> Float[Array, "h2 w2 outputs"]:
+        """Convolve `upsample(x)` with a 3×3 kernel of stride 1."""
+        y = convolve_doubled(x[None], self.kernel.astype(x.dtype))[0]
         return y + self.bias.astype(x.dtype)[None, None, :]
 
 
