@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
-from keycld.mechanics import Linear, SwishEnergy, SwishMLP, begin_as_identity, truncated_normal
+from keycld.mechanics import Linear, SwishEnergy, SwishMLP, begin_as_identity, lecun_normal, truncated_normal
 
 
 def test_kernels_have_haikus_deviation_and_no_tails(getkey):
@@ -12,6 +12,15 @@ def test_kernels_have_haikus_deviation_and_no_tails(getkey):
     kernel = truncated_normal(getkey(), (400, 500)) * np.sqrt(400)
     assert float(jnp.abs(kernel).max()) <= 2.0
     assert float(kernel.std()) == pytest.approx(0.8796, rel=0.01)
+
+
+@pytest.mark.parametrize("shape", [(3, 5), (144, 16), (400, 500)])
+def test_kernels_are_the_numbers_that_jax_samples(shape, getkey):
+    """Of a row that is longer, so that all shapes share a program."""
+    key = getkey()
+    expected = jax.nn.initializers.lecun_normal()(key, shape)
+    np.testing.assert_allclose(lecun_normal(key, shape), expected, rtol=1e-6)
+    np.testing.assert_allclose(truncated_normal(key, shape), 0.87962566 * expected, rtol=1e-6)
 
 
 def test_a_perceptron_is_swish_between_affine_maps(getkey):

@@ -19,6 +19,7 @@ from keycld.mechanics.dense import Linear as Linear
 from keycld.mechanics.dense import SwishEnergy as SwishEnergy
 from keycld.mechanics.dense import SwishMLP as SwishMLP
 from keycld.mechanics.dense import begin_as_identity as begin_as_identity
+from keycld.mechanics.dense import lecun_normal as lecun_normal
 from keycld.mechanics.dense import truncated_normal as truncated_normal
 from keycld.mechanics.discovery import Candidate as Candidate
 from keycld.mechanics.discovery import candidates as candidates
@@ -201,6 +202,7 @@ __all__ = [
     "integrator_named",
     "is_singular",
     "joining_velocity",
+    "lecun_normal",
     "joint_positions",
     "joints_of",
     "lengths_of",

@@ -11,9 +11,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
+from keycld.mechanics import lecun_normal
 from keycld.vision.convolution import convolve, convolve_doubled
-
-_FLAX = jax.nn.initializers.lecun_normal()
 
 
 class Conv(eqx.Module):
@@ -33,7 +32,7 @@ class Conv(eqx.Module):
         outputs: int,
         size: int = 3,
         stride: int = 1,
-        initialise: Callable[[PRNGKeyArray, tuple[int, int]], Array] = _FLAX,
+        initialise: Callable[[PRNGKeyArray, tuple[int, int]], Array] = lecun_normal,
         *,
         key: PRNGKeyArray,
     ):

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from keycld.mechanics import Linear
+from keycld.mechanics import Linear, lecun_normal
 
 
 class AbstractCell(eqx.Module):
@@ -109,9 +109,8 @@ class GRUCell(AbstractCell):
     def __init__(self, inputs: int, hidden: int, *, key: PRNGKeyArray):
         keys = jax.random.split(key)
         # Haiku's variance scaling makes up for the cut of the normal distribution, other than its dense layers.
-        scaled = jax.nn.initializers.lecun_normal()
-        self.from_input = scaled(keys[0], (inputs, 3 * hidden))
-        self.from_memory = scaled(keys[1], (hidden, 3 * hidden))
+        self.from_input = lecun_normal(keys[0], (inputs, 3 * hidden))
+        self.from_memory = lecun_normal(keys[1], (hidden, 3 * hidden))
         self.bias = jnp.zeros(3 * hidden)
         self.hidden = hidden
 
