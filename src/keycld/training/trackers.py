@@ -68,11 +68,15 @@ class _TensorBoard:
     def __init__(self, folder: Path):
         from tensorboardX import SummaryWriter  # pyright: ignore[reportMissingImports]
 
-        self._writer = SummaryWriter(str(folder / "tensorboard"))
+        self._folder, self._open, self._writer = folder / "tensorboard", SummaryWriter, None
 
     def log(self, step: int, values: dict[str, float]) -> None:
+        if self._writer is None:
+            # Of a killed training TensorBoard hides the steps that the resumed one takes again: these and later ones.
+            self._writer = self._open(str(self._folder), purge_step=step)
         for name, value in values.items():
             self._writer.add_scalar(name, value, step)
 
     def close(self) -> None:
-        self._writer.close()
+        if self._writer is not None:
+            self._writer.close()
