@@ -42,6 +42,12 @@ def test_predictions_do_not_replace_the_video(clip, capsys):
     assert clip.read_bytes() == before
 
 
+def test_a_video_in_place_of_data_is_answered_by_how_to_make_some(clip, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for words in (["train", clip], ["predict", "pendulum", "--data", clip, "--out", "p.h5"]):
+        assert f"`keycld data import {clip} --out FOLDER`" in refused(capsys, *words)
+
+
 @pytest.mark.parametrize(
     ("words", "meant"),
     [

@@ -94,6 +94,9 @@ def test_what_is_not_data(folder, tmp_path_factory):
         open_data(empty)
     with pytest.raises(KeycldError, match="is a file: give the folder"):
         open_data(folder / "train.h5")
+    (empty / "swing.mp4").touch()
+    with pytest.raises(KeycldError, match=r"keycld data import .*swing.mp4 --out FOLDER.*keycld watch .*swing.mp4"):
+        open_data(empty / "swing.mp4")
     with pytest.raises(KeycldError, match="there is no folder"):
         open_data(empty / "missing")
     with pytest.raises(KeycldError, match="did you mean 'pendulum'"):

@@ -47,7 +47,13 @@ def predict(
         file = data
         if data.suffix.lower() not in _HDF5:
             size = int(config.scene["height"])
-            learned = open_data(data_folder(run, config.data))
+            known = data_folder(run, config.data)
+            if not known.is_dir():
+                raise KeycldError(
+                    f"{data} is no HDF5 file, and the data of {run} in {known}, which say how to cut a video, are "
+                    f"missing: give a file of the data set that `keycld data import {data} --out FOLDER` makes."
+                )
+            learned = open_data(known)
             out_file = Path(folder) / f"{data.stem}.h5"
             file = clip_file(data, out_file, learned.attributes, size, usual=usual_for(learned))
         number = _frame(first, lambda: read(file, images=False, rows=slice(0, 1)).dt)

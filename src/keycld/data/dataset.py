@@ -236,8 +236,13 @@ def _folder(data: str | Path) -> Path:
         return made
     if path.is_dir():
         return path
-    if path.is_file():
+    if path.is_file() and path.suffix == ".h5":
         raise KeycldError(f"{path} is a file: give the folder that holds train.h5.")
+    if path.is_file():
+        raise KeycldError(
+            f"{path} is not the folder of a data set: make one of a video with `keycld data import {path} --out "
+            f"FOLDER`, or learn its physics with `keycld watch {path} --mechanism auto`."
+        )
     if bare:
         raise unknown("system or folder", path.name, names(), listed="docs/systems.md and docs/datasets.md")
     raise KeycldError(f"there is no folder {path}: check the path.")
