@@ -57,6 +57,12 @@ def test_they_are_known(site):
     assert answer.returncode == 0, answer.stderr
 
 
+def test_help_lists_a_law_of_a_package_without_importing_it(site):
+    (site / "push.py").write_text("import nothing_of")
+    answer = run(site, "from keycld.cli.control import law_titles; print(law_titles())")
+    assert answer.stdout.splitlines()[-1] == "push: In the installed module push.", answer
+
+
 @pytest.mark.slow
 def test_a_law_is_an_option_and_a_module_that_cannot_be_imported_is_named(site):
     start = "import sys; sys.argv[1:] = ['control', 'pendulum', '--law', {!r}]; "

@@ -11,6 +11,7 @@ from true_physics import truth
 
 from keycld import KeycldError
 from keycld.control import Imagination, register_environments
+from keycld.systems import get, registry
 
 gymnasium = pytest.importorskip("gymnasium")
 register_environments()
@@ -85,9 +86,12 @@ def test_upright_is_the_best_reward(make):
     np.testing.assert_allclose(rewards, [1.0, 0.5, 0.0], atol=1e-2)
 
 
-def test_wrong_options():
+def test_wrong_options(monkeypatch):
     from keycld.control.environments import SwingUp
 
+    monkeypatch.setitem(registry._SYSTEMS, "bead", get("pendulum"))
+    with pytest.raises(KeycldError, match="toy/pendulum has no environment: choose from acrobot, bead, cartpole, pend"):
+        SwingUp("toy/pendulum")
     with pytest.raises(KeycldError, match="is rest or random"):
         SwingUp("pendulum", initial_state="top")
     with pytest.raises(KeycldError, match="no input 'wheel'"):

@@ -2,6 +2,7 @@
 
 import ast
 import math
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,12 +14,16 @@ LAWS = Path(__file__).parent.parent / "control" / "laws"
 
 
 def law_titles() -> str:
-    """Return name, title and settings of the control laws, from their source files, because imports would load JAX."""
+    """Return name, title and settings of the control laws, from their source files, because imports would load JAX.
+
+    Of laws that installed packages add, only the entry points are read.
+    """
     lines = []
     for path in sorted(LAWS.glob("*.py")):
         for node in ast.parse(path.read_text(encoding="utf-8")).body:
             if isinstance(node, ast.ClassDef) and "register_law" in map(ast.unparse, node.decorator_list):
                 lines.append(_law_title(node))
+    lines += [f"{point.name}: In the installed module {point.module}." for point in entry_points(group="keycld.laws")]
     return "\n".join(lines)
 
 

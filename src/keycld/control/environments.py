@@ -8,7 +8,7 @@ import numpy as np
 from keycld._errors import KeycldError
 from keycld.control.plant import Plant
 from keycld.control.requirements import check_limit, positions_of
-from keycld.systems import AbstractMujocoSystem, get
+from keycld.systems import AbstractMujocoSystem, get, names
 
 _SECONDS = 10.0
 
@@ -52,7 +52,8 @@ class SwingUp(gymnasium.Env[np.ndarray, np.ndarray]):
     ):
         found = get(system)
         if not isinstance(found, AbstractMujocoSystem):
-            raise KeycldError(f"{system} has no environment: choose pendulum, cartpole or acrobot.")
+            possible = ", ".join(names(AbstractMujocoSystem))
+            raise KeycldError(f"{system} has no environment: choose from {possible}.")
         if initial_state not in ("rest", "random"):
             raise KeycldError(f"the initial state of an environment is rest or random, not '{initial_state}'.")
         self.system = found
