@@ -81,6 +81,15 @@ def test_making_data_replaces_no_readme_of_others(tmp_path, capsys):
     assert (tmp_path / "README.md").read_text() == "my notes"
 
 
+def test_an_import_of_a_published_set_refuses_the_options_of_videos(tmp_path, capsys):
+    (tmp_path / "pendulum").mkdir()
+    (tmp_path / "pendulum" / "features.txt").touch()
+    words = ["data", "import", tmp_path / "pendulum", "--out", tmp_path / "out"]
+    told = refused(capsys, *words, "--size", "32", "--mechanism", "pendulum", "--from", "0", "--split", "time")
+    assert "is imported as it was published: leave out --size, --split, --constraints, --from." in told
+    assert "imported as it was" not in refused(capsys, *words)
+
+
 def test_a_raw_stream_and_a_folder_named_like_the_mechanism(clip, tmp_path, monkeypatch):
     """Such as a Raspberry Pi's camera writes: without times to skip to."""
     monkeypatch.chdir(tmp_path)

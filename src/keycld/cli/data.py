@@ -147,7 +147,7 @@ def import_(
 
     Args:
         videos: One or more video files; or one folder of the original suite, with features.txt and train.tfrecord,
-            which uses --out only.
+            and no option but --out.
         out: Folder of the data set.
         constraints: TOML file with keypoint names and constraints, or the name of a mechanism: pendulum,
             double-pendulum, cart-pole, spring; written into the folder.
@@ -166,6 +166,11 @@ def import_(
     from keycld.data import changes_of, import_clip, import_suite, import_video, open_data
 
     if len(videos) == 1 and (videos[0] / "features.txt").exists():
+        usual = {"size": size == 64, "frames": frames == 50, "split": split == "recordings"}
+        free = {"constraints": constraints, "fps": fps, "crop": crop, "from": skip, "until": until}
+        usual |= {name: value is None for name, value in free.items()}
+        if given := [f"--{name}" for name, unchanged in usual.items() if not unchanged]:
+            raise KeycldError(f"{videos[0]} is imported as it was published: leave out {', '.join(given)}.")
         print(f"imported: {import_suite(videos[0], out)}")
         return
     if split == "time":
