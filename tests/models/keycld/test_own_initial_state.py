@@ -11,6 +11,7 @@ import pytest
 from keycld.data import Clip, RandomFrames, Resident
 from keycld.mechanics import (
     Constraints,
+    Fitted,
     MechanicalDynamics,
     OnLine,
     Own,
@@ -19,12 +20,13 @@ from keycld.mechanics import (
     Springs,
     SumPotential,
     terms_of,
+    with_kinds,
 )
 from keycld.mechanics.forces.anchors import Anchors
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.models import Scene, config_for
 from keycld.models.keycld import prepare
-from keycld.models.keycld.identify import identify, refit
+from keycld.models.keycld.identify import evidence, identify, refit
 from keycld.models.keycld.law_fit import climb
 from keycld.models.keycld.losses import SmoothedLoss
 from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
@@ -362,6 +364,29 @@ def test_the_energy_that_explains_most_alone_is_found():
     found = identify(on_a_line(), dataclasses.replace(tracks, own=begin), pixel=2 / 32, tried=tried)
     assert terms_of(found.dynamics.law).keys() == {"springs"}
     assert found.rms < 1.1e-3
+
+
+@pytest.mark.parametrize(("cost", "begun"), [(0.5, {"springs", "viscous"}), (1.5, {"springs"})])
+def test_all_terms_are_fitted_from_a_law_with_viscous_friction_where_it_explains_more(monkeypatch, cost, begun):
+    """Each fit has a given cost; a pendulum without friction lost a motion, and nothing told of its friction."""
+    _, _, tracks = observed(1e-3)
+    own = guessed(np.mean(tracks.x, axis=1), np.zeros(24))
+    costs = {(): 4.0, ("springs",): 1.0, ("anchors",): 2.0, ("springs", "viscous"): cost}
+
+    def fitted(dynamics, kinds, _):
+        law = with_kinds(dynamics.law, kinds, key=jax.random.key(0))
+        dynamics = eqx.tree_at(lambda each: each.law, dynamics, law)
+        return Fitted(dynamics, None, None, None, jnp.array(costs[kinds]), jnp.zeros((0, 0)), None, None)
+
+    module = "keycld.models.keycld.identify"
+    monkeypatch.setattr(f"{module}.fit_from_nothing", fitted)
+    monkeypatch.setattr(f"{module}.fit_law", lambda dynamics, tracks, begin: begin)
+    monkeypatch.setattr(
+        f"{module}.select_terms",
+        lambda fitted, *_: (fitted.dynamics, dict.fromkeys(terms_of(fitted.dynamics.law), 1.0)),
+    )
+    tried = Tried(kinds=("springs", "anchors", "viscous"))
+    assert evidence(on_a_line(), dataclasses.replace(tracks, own=own), pixel=0.06, tried=tried).keys() == begun
 
 
 @pytest.mark.slow
