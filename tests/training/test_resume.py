@@ -336,17 +336,7 @@ def test_a_latent_model_of_schema_7_learned_pictures_from_motions():
     old = {name: value for name, value in config.settings().items() if not name.startswith("pictures")}
     names = [stage.name for stage in config.changed(config.migrated(old, 7)).stages(Scene(32, 32, 0, 256, 0.05, 100))]
     assert names == ["horizon-8", "horizon-24", "horizon-all"]
-
-
-def test_a_latent_model_of_schema_8_was_trained_without_cross_entropy():
-    """`fast` has it in its first stage alone."""
-    config = config_for("hgn", "fast")
-    old = {name: value for name, value in config.settings().items() if name != "cross_entropy"}
-    before = config.changed(config.migrated(old, 8))
-    scene = Scene(32, 32, 0, 256, 0.05, 100)
-    assert [stage.loss.targets.cross_entropy for stage in config.stages(scene)] == [0.1, None, None, None]
-    assert [stage.loss.targets.cross_entropy for stage in before.stages(scene)] == [None] * 4
-    assert config.migrated(config.settings(), 9) == config.settings()
+    assert config.migrated(config.settings(), 8) == config.settings()
 
 
 @pytest.mark.slow

@@ -16,7 +16,7 @@ from keycld._files import read_text, write_text, writing_error
 from keycld._records import Name, checked, read_json
 from keycld.models import ModelConfig, Scene, config_for
 
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 8
 
 
 class _Verdict(TypedDict):

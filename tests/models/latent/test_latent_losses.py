@@ -96,6 +96,11 @@ def test_a_picture_that_is_wrong_and_saturated_is_left_through_the_cross_entropy
     np.testing.assert_allclose(moved, 0.1 * np.mean(1.0 - clips.frames[:, 4:], axis=(0, 1, 2, 3)), rtol=1e-4)
 
 
+def test_cross_entropy_is_of_the_stage_for_pictures():
+    stages = config_for("hgn", "fast").stages(Scene(32, 32, 0, 256, 0.05, 100))
+    assert [stage.loss.targets.cross_entropy for stage in stages] == [0.1, None, None, None]
+
+
 def test_forward_targets_begin_with_the_last_given_frame(getkey, clips):
     model = certain(built(getkey()))
     found = reconstruct(model, clips, getkey(), FORWARD)

@@ -137,12 +137,12 @@ class LatentConfig(ModelConfig):
         begin = self.given if self.both_ways else self.anchor
         return min((self.targets if targets is None else targets) + begin, scene.frames)
 
-    def loss(self, scene: Scene, cross_entropy: float = 0.0) -> "AbstractLoss | AbstractStatefulLoss":
+    def loss(self, scene: Scene, cross_entropy: float | None = None) -> "AbstractLoss | AbstractStatefulLoss":
         """Return what a stage minimises, with this weight of the pixels' cross-entropy."""
         from keycld.models.latent.losses import ELBOLoss, GECOLoss, Targets
 
         at_once = max(1, 32 * 32 * self.frames_at_once // (scene.height * scene.width))
-        targets = Targets(self.both_ways, self.given_are_targets, self.rendered, at_once, cross_entropy or None)
+        targets = Targets(self.both_ways, self.given_are_targets, self.rendered, at_once, cross_entropy)
         consistency = self.consistency or None
         if self.objective == "geco":
             return GECOLoss(self.kappa, self.rate, targets, consistency)
@@ -204,10 +204,6 @@ class FastSettings(LatentConfig):
     """
     pictures_rate: float = 5e-3
     """Learning rate of Muon in the stage `pictures`, for encoder and decoder; all other parameters have `rate`."""
-    cross_entropy: float = 0.1
-    """Weight of the pixels' cross-entropy beside their squared error in the stage `pictures`; 0: none. Without it
-    training cannot leave a picture whose values are all 0 or 1, as the first steps may render it.
-    """
     horizons: tuple[int, ...] = (8, 24)
     """Frames that the next stages predict; the last stage predicts all targets."""
     shares: tuple[float, ...] = (0.08, 0.12)
@@ -219,6 +215,9 @@ class FastSettings(LatentConfig):
     clip: float = 1.0
     """Largest norm of a gradient; larger ones are scaled down to it."""
 
+    # In the stage `pictures`. Without it training cannot leave a picture whose values are all 0 or 1, which the first
+    # steps may render.
+    CROSS_ENTROPY: ClassVar[float] = 0.1
     SKIPS: ClassVar[int] = 20  # Along 60 frames gradients of some windows overflow, in LGN and RGN most of all.
 
     def __post_init__(self) -> None:
@@ -234,11 +233,9 @@ class FastSettings(LatentConfig):
             raise KeycldError(f"the sum of settings pictures and shares is below 1, not {total:g}.")
 
     def migrated(self, settings: Mapping[str, Any], version: int) -> Mapping[str, Any]:
-        """Return settings of schema 8 and earlier: no cross-entropy, and up to 7 no stage for pictures alone."""
+        """Return settings of schema 7 and earlier, in which no stage was for pictures alone."""
         settings = super().migrated(settings, version)
-        if version <= 7:
-            settings = {**settings, "pictures": 0.0}
-        return settings if version > 8 else {**settings, "cross_entropy": 0.0}
+        return settings if version > 7 else {**settings, "pictures": 0.0}
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return a stage for pictures, one for each horizon, and a validation score at the end."""
@@ -248,7 +245,7 @@ class FastSettings(LatentConfig):
         from keycld.stages import Group, Stage, muon, warmup_cosine, whole
 
         def stage(
-            name: str, steps: int, targets: int, *more: Group, cross_entropy: float = 0.0, last: bool = False
+            name: str, steps: int, targets: int, *more: Group, cross_entropy: float | None = None, last: bool = False
         ) -> Stage:
             return Stage(
                 name=name,
@@ -265,7 +262,7 @@ class FastSettings(LatentConfig):
         counts = [round(share * self.steps) for share in (self.pictures, *self.shares)]
         # Targets begin with the frame that the state belongs to.
         vision = Group("vision", _vision, self.pictures_rate, muon)
-        first = [stage("pictures", counts[0], 2, vision, cross_entropy=self.cross_entropy)]
+        first = [stage("pictures", counts[0], 2, vision, cross_entropy=self.CROSS_ENTROPY)]
         grown = [stage(f"horizon-{h}", count, h + 1) for h, count in zip(self.horizons, counts[1:], strict=True)]
         last = stage("horizon-all", self.steps - sum(counts), self.targets, last=True)
         return (*(first if counts[0] else []), *grown, last)
