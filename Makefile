@@ -23,7 +23,7 @@ setup: .venv/dev
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-compile --no-deps --require-hashes --requirement requirements-dev.lock
 	touch $@
 
-# Data, training, evaluation, control and report for the pendulum; six to nine minutes on two cores.
+# Data, training, evaluation, control and report for the pendulum; five to ten minutes on two cores.
 demo: .venv/ready
 	$(BIN)/keycld demo
 

@@ -20,7 +20,7 @@ def demo(
 ) -> None:
     """Run everything on one system: data, training, evaluation, control, report.
 
-    The pendulum takes five to nine minutes on two CPU cores, three to five of them for training.
+    The pendulum takes five to ten minutes on two CPU cores, three to five of them for training.
 
     Args:
         system: pendulum, cartpole or acrobot.
