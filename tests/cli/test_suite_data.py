@@ -27,8 +27,12 @@ def test_make_check_show(tmp_path, monkeypatch, capsys):
     ("arguments", "words"),
     [
         (["toy/mass_spring", "--control", "none"], "no motors: leave out --control, --initial-state, --clip and"),
-        (["toy/mass_spring", "--train", "1"], "--train is a number of recordings, at least 2, not 1"),
-        (["pendulum", "--long", "0"], "--long is a number of recordings, at least 1, not 0"),
+        (
+            ["toy/mass_spring", "--train", "1"],
+            "--train is a number of recordings, at least 2 and at most 1,000,000, not 1",
+        ),
+        (["pendulum", "--test", "99999999999"], "at most 1,000,000, not 99,999,999,999"),
+        (["pendulum", "--long", "0"], "--long is a number of recordings, at least 1 and at most 1,000,000, not 0"),
         (["pendulum", "--initial-state", "moving"], "choose from rest, random, upright, released."),
         (["pendulum", "--workers", "0"], "--workers is at least 1, not 0"),
         (["toy/mass_spring", "--validation", "3"], "unknown split 'validation' of toy/mass_spring"),

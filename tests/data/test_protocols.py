@@ -58,9 +58,9 @@ def test_bad_numbers_and_names():
         splits("keycld-2023")
     with pytest.raises(KeycldError, match="unknown split 'tests': did you mean 'test'"):
         splits("keycld-2022", runs={"tests": 3})
-    with pytest.raises(KeycldError, match="--train is a number of recordings, at least 1, not 0"):
+    with pytest.raises(KeycldError, match="--train is a number of recordings, at least 1 and at most 1,000,000, not 0"):
         splits("keycld-2022", runs={"train": 0})
-    with pytest.raises(KeycldError, match="test is a number of frames, at least 3, not 2"):
+    with pytest.raises(KeycldError, match="test is a number of frames, at least 3 and at most 1,000,000, not 2"):
         splits("keycld-2022", frames={"test": 2})
 
 

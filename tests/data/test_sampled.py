@@ -69,9 +69,9 @@ def test_small_training_sets_give_a_tenth_to_validation():
         sampled_splits(get(NAME), runs={"validation": 3})
     with pytest.raises(KeycldError, match="unknown split"):
         sampled_splits(get("toy/two_body"), runs={"test_long": 3})
-    with pytest.raises(KeycldError, match="--train is a number of recordings, at least 2, not 1"):
+    with pytest.raises(KeycldError, match="--train is a number of recordings, at least 2 and at most 1,000,000, not 1"):
         sampled_splits(get(NAME), runs={"train": 1})
-    with pytest.raises(KeycldError, match="test is a number of frames, at least 3, not 2"):
+    with pytest.raises(KeycldError, match="test is a number of frames, at least 3 and at most 1,000,000, not 2"):
         sampled_splits(get(NAME), frames={"test": 2})
 
 

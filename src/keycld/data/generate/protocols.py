@@ -42,7 +42,8 @@ _CONDITIONS: Mapping[str, Conditions] = {
 PROTOCOLS = tuple(_CONDITIONS)
 # Seeds 0 ... 499 are the papers' (the last 50 for validation); no choice is ever made on the two test splits.
 _FIRST_SEED = {"train": 0, "validation": 450, "test": 500, "test_long": 1000}
-# Where the seeds of a split begin that has more recordings than there are seeds before those of the next one.
+# Where the seeds of a split begin that has more recordings than there are seeds before those of the next one; with
+# more recordings than this, two files would share seeds.
 _FAR = 1_000_000
 _RUNS = {"train": 450, "validation": 50, "test": 50, "test_long": 50}
 _FRAMES = {"train": 50, "validation": 50, "test": 50, "test_long": 500}
@@ -129,14 +130,15 @@ def with_numbers(
         of: the system, where its splits are its own.
 
     Raises:
-        KeycldError: an unknown split, or a number that is too small.
+        KeycldError: an unknown split, or a number that is too small or too large.
     """
     for name, number in (given or {}).items():
         if name not in numbers:
             raise unknown("split", name, numbers, of=of)
-        if number < least[name]:
+        if not least[name] <= number <= _FAR:
             flag = "--long" if name == "test_long" else f"--{name}"
             raise KeycldError(
-                f"{flag if what == 'recordings' else name} is a number of {what}, at least {least[name]}, not {number}."
+                f"{flag if what == 'recordings' else name} is a number of {what}, at least {least[name]} and at most "
+                f"{_FAR:,}, not {number:,}."
             )
     return {**numbers, **(given or {})}
