@@ -109,9 +109,8 @@ def test_what_is_wrong_and_where(tmp_path, case):
 
 @pytest.mark.parametrize("spoil", [remove("input"), replace("input", lambda a: a[:, :0])])
 def test_undriven_files_need_no_input(tmp_path, spoil):
-    write(tmp_path / "train.h5", sample())
-    write(tmp_path / "test.h5", sample())
-    for name in ("train", "test"):
+    for name in ("train", "validation", "test"):
+        write(tmp_path / f"{name}.h5", sample())
         with h5py.File(tmp_path / f"{name}.h5", "r+") as file:
             spoil(file)
     assert check(tmp_path) == []
@@ -128,7 +127,8 @@ def test_a_file_without_recordings(tmp_path):
 def test_driven_and_undriven_files_do_not_mix(tmp_path):
     write(tmp_path / "train.h5", sample())
     write(tmp_path / "test.h5", dataclasses.replace(sample(), input=np.zeros((3, 0), np.float32)))
-    (differs,) = check(tmp_path)
+    differs, lacks = check(tmp_path)
+    assert "lacks validation.h5" in lacks
     assert "train.h5 differs from test.h5 in 'inputs': 2, not 0" in differs
 
 
@@ -191,19 +191,26 @@ def test_not_a_data_file(tmp_path):
 
 def test_a_folder(tmp_path):
     assert "holds no .h5 file" in check(tmp_path)[0]
-    write(tmp_path / "train.h5", sample())
+    for name in ("train", "validation", "test"):
+        write(tmp_path / f"{name}.h5", sample())
     assert check(tmp_path) == []
-    write(tmp_path / "validation.h5", sample())
     with h5py.File(tmp_path / "validation.h5", "r+") as file:
         attribute("dt", 2 * file.attrs["dt"])(file)
         replace("time", lambda time: 2 * time)(file)
     (differs,) = check(tmp_path)
-    assert "validation.h5 differs from train.h5 in 'dt'" in differs
+    assert "validation.h5 differs from test.h5 in 'dt'" in differs
     (tmp_path / "validation.h5").unlink()
+    [lacks] = check(tmp_path)
+    assert "lacks validation.h5: make the data again, or add the file." in lacks
+    write(tmp_path / "validation.h5", sample())
+    (tmp_path / "constraints.toml").write_text("keypoints = [")
+    [toml] = check(tmp_path)
+    assert "constraints.toml is not valid TOML" in toml
+    (tmp_path / "constraints.toml").unlink()
     figures = {"trajectories": 3, "frames": 5, "bytes": 1, "sha256": "0"}
-    described = {"splits": dict.fromkeys(("train", "test"), figures)}
+    described = {"splits": dict.fromkeys(("train", "test_long"), figures)}
     (tmp_path / "statistics.json").write_text(json.dumps(described))
     changed, lacks = check(tmp_path)
-    assert "train.h5 has changed" in changed and "lacks test.h5" in lacks
+    assert "train.h5 has changed" in changed and "lacks test_long.h5" in lacks
     (tmp_path / "statistics.json").write_text("{")
     assert "damaged" in check(tmp_path)[0]

@@ -68,10 +68,11 @@ def test_foreign_data_need_constraints_only_for_models_that_do(tmp_path):
 
 def test_a_file_written_with_h5py_alone(tmp_path):
     """The least that the documentation promises to be enough."""
-    with h5py.File(tmp_path / "train.h5", "w") as file:
-        file["image"] = np.zeros((2, 3, 8, 8, 3), np.uint8)
-        file["time"] = np.array([0.0, 0.1, 0.2])
-        file.attrs.update(schema_version=1, system="swing", dt=0.1)
+    for name in ("train", "validation", "test"):
+        with h5py.File(tmp_path / f"{name}.h5", "w") as file:
+            file["image"] = np.zeros((2, 3, 8, 8, 3), np.uint8)
+            file["time"] = np.array([0.0, 0.1, 0.2])
+            file.attrs.update(schema_version=1, system="swing", dt=0.1)
     assert check(tmp_path) == []
     train = open_data(tmp_path).train()
     assert train.input.shape == (2, 0) and train.input.dtype == np.float32 and train.state is None

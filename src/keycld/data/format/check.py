@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from keycld._errors import KeycldError
-from keycld.data.format.folder import read_statistics, sha256, unfinished
+from keycld.data.format.folder import CONSTRAINTS, read_statistics, sha256, unfinished
 from keycld.data.format.hdf5 import open_file
 from keycld.data.format.rules import check_images, check_structure
 
@@ -14,7 +14,7 @@ def check(path: str | Path) -> list[str]:
     """List what is wrong with a file, or with all files of a folder; an empty list if nothing is.
 
     Every picture is decoded, one recording at a time. In a folder that `keycld data make` finished, the check-sums are
-    compared too.
+    compared too. A `constraints.toml` is read as training would.
     """
     path = Path(path)
     if path.is_dir():
@@ -51,16 +51,25 @@ def _check_folder(folder: Path) -> Iterator[str]:
         yield f"{folder} holds no .h5 file: make or import data there first."
     if unfinished(folder):
         yield f"{folder} is unfinished: run the command that made it once more."
+    if not files:
+        return
     problems = [problem for file in files for problem in check(file)]
     yield from problems or _disagreements(files)
+    if (folder / CONSTRAINTS).exists():
+        from keycld.mechanics import load_constraints
+
+        try:
+            load_constraints(folder / CONSTRAINTS)
+        except KeycldError as error:
+            yield str(error)
     try:
         stored = read_statistics(folder) or {}
     except KeycldError as error:
         yield str(error)
         return
-    for name, figures in stored.get("splits", {}).items():
+    for name, figures in {**dict.fromkeys(("train", "validation", "test")), **stored.get("splits", {})}.items():
         file = folder / f"{name}.h5"
         if not file.exists():
-            yield f"{folder} lacks {file.name}, which statistics.json describes: make the data again."
-        elif figures.get("sha256") != sha256(file):
+            yield f"{folder} lacks {file.name}: make the data again, or add the file."
+        elif figures is not None and figures["sha256"] != sha256(file):
             yield f"{file} has changed since it was made: its check-sum differs from that in statistics.json."
