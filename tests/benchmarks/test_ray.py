@@ -77,3 +77,18 @@ def test_without_ray_one_sentence_says_what_to_install(place, monkeypatch):  # n
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(KeycldError, match=r"--on ray needs its package: pip install 'keycld\[ray\]'"):
         run_experiments(experiments(), place, runner=OnRay(), child=STUB, say=str)
+
+
+@pytest.mark.parametrize(
+    ("cpus", "gpus", "words"),
+    [
+        (-1.0, 0.0, "above 0, not -1 and 0"),
+        (float("nan"), 0.0, "above 0, not nan and 0"),
+        (1.0, float("inf"), "above 0, not 1 and inf"),
+        (0.0, 0.0, "above 0, not 0 and 0"),
+        (1.0, 1.5, "--gpus is a share of one GPU or a whole number, not 1.5"),
+    ],
+)
+def test_resources_that_ray_does_not_know_are_refused(cpus, gpus, words):
+    with pytest.raises(KeycldError, match=words):
+        OnRay(cpus, gpus)

@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib
+import math
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -36,6 +37,16 @@ class OnRay(AbstractRunner):
 
     cpus: float = 1.0
     gpus: float = 0.0
+
+    def __post_init__(self):
+        """Refuse numbers that Ray takes for no resources."""
+        finite = math.isfinite(self.cpus + self.gpus)
+        if not (finite and min(self.cpus, self.gpus) >= 0 < max(self.cpus, self.gpus)):
+            raise KeycldError(
+                f"--cpus and --gpus are at least 0, and one of them is above 0, not {self.cpus:g} and {self.gpus:g}."
+            )
+        if self.gpus > 1 and self.gpus % 1:
+            raise KeycldError(f"--gpus is a share of one GPU or a whole number, not {self.gpus:g}.")
 
     def each(
         self, experiments: Sequence[Experiment], place: Place, child: Sequence[str]
