@@ -69,7 +69,11 @@ def test_mistakes_leave_no_file(source, tmp_path):
         predict_file(Swing.right(), source, source)
     with pytest.raises(KeycldError, match="needs 2 given frames"):
         predict_file(Swing.right(), source, out, given=1)
+    with pytest.raises(KeycldError, match="bare.h5 is no file of predictions, and stays as it is"):
+        predict_file(Swing.right(), source, tmp_path / "bare.h5")
     (tmp_path / "file").write_text("")
+    with pytest.raises(KeycldError, match="file is no file of predictions"):
+        predict_file(Swing.right(), source, tmp_path / "file")
     with pytest.raises(KeycldError, match="choose a folder"):
         predict_file(Swing.right(), source, tmp_path / "file" / "out.h5")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["bare.h5", "data.h5", "file"]

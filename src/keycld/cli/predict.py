@@ -27,7 +27,8 @@ def predict(
         run: Run folder, or a trained model of the package: pendulum, cartpole, acrobot.
         data: HDF5 file in keycld's format, with pictures or with states that keycld renders; or a video from the camera
             and place of the clips that the run has learned.
-        out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2].
+        out: HDF5 file to write: /image float32 [N, T, H, W, 3] and /keypoints [N, T, K, 2]. Of what is there
+            already, only a file of predictions is replaced.
         given: Number of given frames; by default as many as the model needs. More make a better initial state.
         first: The first given frame: its number, or its time such as 12.5s. A reversible model predicts the frames
             before it backward.

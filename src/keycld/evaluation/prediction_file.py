@@ -37,14 +37,14 @@ def predict_file(
     Args:
         model: any model.
         data_file: in the format of a data set; made now if it is a `test_long.h5` that keycld left for later.
-        out: replaced if it exists.
+        out: replaced if it holds predictions.
         given: frames to give; as many as the model needs by default.
         first: number of the first given frame. The motion before it is predicted too, by a `Reversible` model.
         progress: called with the number of frames predicted and their total.
 
     Raises:
         KeycldError: the file is not valid, has no pictures or fewer frames than are given; the model needs more, or
-            cannot run backward; `out` cannot be written.
+            cannot run backward; `out` cannot be written, or is something else than predictions.
     """
     given = model.context if given is None else given
     refuse_too_few(model, given)
@@ -53,6 +53,8 @@ def predict_file(
     count, length, dt = len(about), about.frames, about.dt
     if Path(out).resolve() == Path(data_file).resolve():
         raise KeycldError(f"'{out}' is the data itself: give another file for the predictions.")
+    if Path(out).is_file() and not _holds_predictions(out):
+        raise KeycldError(f"{out} is no file of predictions, and stays as it is: choose another --out.")
     if not 0 <= first <= length - given:
         raise KeycldError(
             f"frames {first} to {first + given - 1} are to be given, but the recordings of {data_file} have "
@@ -79,6 +81,14 @@ def predict_file(
                 if progress is not None:
                     progress(at.stop * length, count * length)
     return Path(out)
+
+
+def _holds_predictions(path: str | Path) -> bool:
+    try:
+        with open_file(path) as file:
+            return "given_frames" in file.attrs
+    except KeycldError:
+        return False
 
 
 def _given_frames(path: str | Path, rows: slice, first: int, given: int) -> UInt8[np.ndarray, "N n H W 3"]:
