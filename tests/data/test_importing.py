@@ -100,6 +100,7 @@ def test_constraints_come_along(video, tmp_path):
         ({"skip": -1.0}, "--from is a second of the video, at least 0, not -1"),
         ({"skip": 2.0, "until": 1.5}, r"--until is a second of the video after --from \(2\), not 1.5"),
         ({"skip": 60.0}, "no frame after 60 s"),
+        ({"fps": 0.001}, "no frame after 0 s at 0.001 frames/s: skip less, or give a higher --fps"),
         ({"validation": 0.6, "test": 0.5}, "leave some for training"),
     ],
 )

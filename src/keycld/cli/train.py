@@ -72,7 +72,7 @@ def train(
     saved = None if config is None else parse_config(config)
     if saved is not None:
         data, seed = data or saved.data, saved.seed if seed is None else seed
-        devices = devices or saved.devices
+        devices = saved.devices if devices is None else devices
     if not data:
         raise KeycldError("name what to train on: a system, `keycld train pendulum`, or the folder of a data set.")
     if constraints is not None:
@@ -136,13 +136,14 @@ def with_settings(words: Sequence[str]) -> Callable[..., None]:
 
 
 def _value(words: Sequence[str], flag: str) -> str | None:
-    """Return the value of a flag, from `--flag value` or `--flag=value`."""
+    """Return the value of a flag, from `--flag value` or `--flag=value`; the last one, as for all other flags."""
+    value = None
     for word, following in zip(words, [*words[1:], ""], strict=True):
         if word == flag:
-            return following
-        if word.startswith(f"{flag}="):
-            return word.partition("=")[2]
-    return None
+            value = following
+        elif word.startswith(f"{flag}="):
+            value = word.partition("=")[2]
+    return value
 
 
 def _text(path: str) -> str:

@@ -45,7 +45,7 @@ def load_model(run: str | Path) -> tuple[AbstractModel, RunConfig]:
         KeycldError: it is neither, or a file is damaged.
     """
     if not _is_packaged(run):
-        return load_run(run)
+        return load_run(run_folder(run))
     shelf = _SHELF / str(run)
     config = read_config(shelf)
     chosen = config.model_config()

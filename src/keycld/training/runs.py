@@ -93,6 +93,8 @@ def train(
     together = 1 if member is None else len(member.group.members)
     shared = use_devices(devices)
     folder, dataset = Path(out), open_data(data)
+    if folder.resolve() == dataset.folder.resolve():
+        raise KeycldError(f"{folder} holds the data: choose another --out for the run.")
     config = (config or config_for()).completed(dataset)
     source = dataset.training_data(seed)
     scene = make_scene(source.shape, dataset)

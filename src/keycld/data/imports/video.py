@@ -306,7 +306,9 @@ def decode(
     except FfmpegError as error:
         raise unreadable(path, error) from error
     if not count:
-        raise KeycldError(f"{path} holds no frame after {skip:g} s: skip less.")
+        raise KeycldError(
+            f"{path} gives no frame after {skip:g} s at {float(rate):g} frames/s: skip less, or give a higher --fps."
+        )
     progress(count, count)
     spool.seek(-(count % frames) * frame, 2)
     spool.truncate()
