@@ -232,6 +232,7 @@ def test_bad_data_gets_one_sentence_and_code_two(here, tmp_path, change, words):
         (["predict", "pendulm", "--data", "mine/test.h5", "--out", "p.h5"], ["did you mean 'pendulum'"]),
         (["predict", "whole", "--data", "none.h5", "--out", "p.h5"], ["none.h5"]),
         (["predict", "whole", "--data", "mine/test.h5", "--out", "p.h5", "--given", "0"], ["--given is at least 2"]),
+        (["eval", "whole", "--given", "0"], ["--given is at least 2, the frames that this model needs, not 0."]),
         (["data", "make", "cartpol"], ["did you mean 'cartpole'"]),
         (["data", "check", "nothing"], ["nothing"]),
     ],

@@ -1,10 +1,12 @@
 """A video becomes a data set."""
 
+import shutil
+
 import numpy as np
 import pytest
 
 from keycld import KeycldError
-from keycld.data import check, import_video, open_data, read
+from keycld.data import check, import_clip, import_video, open_data, read
 from keycld.data.imports import video as importing
 from keycld.drawing import save_movie
 
@@ -70,7 +72,8 @@ def test_a_crop_may_begin_at_an_odd_pixel(video, tmp_path):
 
 
 def test_several_videos(video, tmp_path):
-    out = import_video([video, video], tmp_path / "a", size=16, frames=30)
+    shutil.copy(video, tmp_path / "more.mp4")
+    out = import_video([video, tmp_path / "more.mp4"], tmp_path / "a", size=16, frames=30)
     assert sum(len(read(out / f"{name}.h5")) for name in ("train", "validation", "test")) == 8
 
 
@@ -133,6 +136,9 @@ def test_bad_files(video, tmp_path):
         import_video(video, tmp_path / "pendulum", size=16, frames=20)
     with pytest.raises(KeycldError, match="at least one video"):
         import_video([], tmp_path / "a")
+    for empty_or_twice, words in (([], "at least one video"), ([video, str(video)], "is named twice")):
+        with pytest.raises(KeycldError, match=words):
+            import_clip(empty_or_twice, tmp_path / "a", constraints="pendulum", size=16)
     out = import_video(video, tmp_path / "b", size=16, frames=20)
     with pytest.raises(KeycldError, match="already holds data"):
         import_video(video, out, size=16, frames=20)

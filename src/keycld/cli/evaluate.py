@@ -65,6 +65,9 @@ def evaluate(
             if run not in pretrained():
                 raise KeycldError(f"the data of {folder}, {data}, are missing: name a data set with --data.")
             data = str(data_for(config.system))
+    # Before the long test is made.
+    if given is not None and given < model.context:
+        raise KeycldError(f"--given is at least {model.context}, the frames that this model needs, not {given}.")
     dataset = open_data(data)
     if symetric:
         _score_symetric(model, dataset, folder, json)

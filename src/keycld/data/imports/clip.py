@@ -25,6 +25,7 @@ from keycld.data.imports.video import (
     check_span,
     constraints_text,
     decode,
+    named_once,
     origin,
     spool_in,
     store,
@@ -113,7 +114,7 @@ def import_clip(
             folder in use; constraints that give a pivot, without a crop.
     """
     began, out = time.monotonic(), Path(out)
-    sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
+    sources = named_once(paths)
     text = None if constraints is None else constraints_text(constraints)
     if constraints is not None and crop is None:
         _refuse_given_pivots(constraints)

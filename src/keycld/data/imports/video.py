@@ -73,8 +73,8 @@ def import_video(
     Good values: recordings of about one swing; 30 to 60 frames a second; a still camera and background.
     """
     began = time.monotonic()
-    sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
-    _check_numbers(sources, size, fps, frames, validation, test)
+    sources = named_once(paths)
+    _check_numbers(size, fps, frames, validation, test)
     check_span(skip, until)
     out = Path(out)
     check_folder(out)
@@ -207,11 +207,22 @@ def span_options(skip: float, until: float | None) -> list[str]:
     return begin if until is None else [*begin, "-t", str(until - skip)]
 
 
-def _check_numbers(
-    sources: Sequence[Path], size: int, fps: float | None, frames: int, validation: float, test: float
-) -> None:
+def named_once(paths: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Return the videos of one or more paths.
+
+    Raises:
+        KeycldError: there is none, or one comes twice: training and test would share frames.
+    """
+    sources = [Path(paths)] if isinstance(paths, str | Path) else [Path(path) for path in paths]
     if not sources:
         raise KeycldError("name at least one video.")
+    for number, source in enumerate(sources):
+        if source.resolve() in [other.resolve() for other in sources[:number]]:
+            raise KeycldError(f"{source} is named twice, so training and test would share frames: name it once.")
+    return sources
+
+
+def _check_numbers(size: int, fps: float | None, frames: int, validation: float, test: float) -> None:
     check_size_and_rate(size, fps)
     if frames < 3:
         raise KeycldError(f"--frames is at least 3, not {frames}.")
