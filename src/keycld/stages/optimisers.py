@@ -10,6 +10,10 @@ import optax
 from jaxtyping import Array
 from optax import contrib
 
+_ITERATION = (3.4445, -4.7750, 2.0315)
+"""Coefficients of Muon's quintic Newton–Schulz iteration, those of optax. Given once for each iteration, optax compiles
+a loop; given once for all, it writes the iterations out one by one, which takes longer to compile."""
+
 
 def warmup_cosine(rate: float, steps: int, *, warmup: float = 0.05, final: float = 0.02) -> optax.Schedule:
     """Return a schedule that rises linearly from 0 to `rate`, then falls along half a cosine to `final · rate`.
@@ -51,7 +55,9 @@ def muon(schedule: optax.Schedule, *, dense: bool = True) -> optax.GradientTrans
         matrices = contrib.MuonDimensionNumbers((1,), (2,))
         return {name: None if name == "rest" else matrices for name in packs}
 
-    inner = contrib.muon(schedule, muon_weight_dimension_numbers=stacks, consistent_rms=0.2)
+    inner = contrib.muon(
+        schedule, ns_coeffs=(_ITERATION,) * 5, muon_weight_dimension_numbers=stacks, consistent_rms=0.2
+    )
     return packed(inner, (2, 4) if dense else (4,))
 
 
