@@ -148,6 +148,7 @@ def test_prediction_of_a_video_from_any_moment(place, capsys):
     capsys.readouterr()
     for wrong, sentence in (
         (["--from", "soon"], "--from is the number of a frame, or a time such as 12.5s, not 'soon'"),
+        (["--from", "1e300s"], "--from is the number of a frame, or a time such as 12.5s, not '1e300s'"),
         (["--from", "3s", "--given", "10"], "is frame 75, but in"),
     ):
         assert main([*arguments, *wrong]) == 2

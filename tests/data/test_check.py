@@ -182,8 +182,9 @@ def test_random_damage_is_never_a_crash(tmp_path):
 
 
 def test_not_a_data_file(tmp_path):
-    (tmp_path / "a.h5").write_text("not HDF5")
-    assert "not a whole HDF5 file" in check(tmp_path / "a.h5")[0]
+    (tmp_path / "swing.mp4").write_bytes(b"\x00\x00\x00\x20ftypisom" + bytes(1000))
+    problem = "swing.mp4 is no HDF5 file: name an .h5 file, or make data of a video with `keycld data import`"
+    assert problem in check(tmp_path / "swing.mp4")[0]
     assert "there is no file" in check(tmp_path / "b.h5")[0]
     with pytest.raises(KeycldError, match="is a folder"):
         read(tmp_path)

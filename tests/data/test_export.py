@@ -69,3 +69,11 @@ def test_a_lerobot_data_set_of_something_else_stays(tracks, tmp_path):
     with pytest.raises(KeycldError, match="holds another LeRobot data set, and stays as it is: choose another --out"):
         write_lerobot(tmp_path, other, "a cart and its pole")
     assert all(path.read_bytes() == contents for path, contents in before.items())
+
+
+def test_a_folder_with_other_files_gets_no_lerobot_data_set(tracks, tmp_path):
+    pytest.importorskip("pyarrow")
+    (tmp_path / "train.h5").write_bytes(b"data")
+    with pytest.raises(KeycldError, match="holds other files, and stays as it is: choose another --out"):
+        write_lerobot(tmp_path, tracks, "a double pendulum swings")
+    assert [path.name for path in tmp_path.iterdir()] == ["train.h5"]

@@ -57,6 +57,12 @@ def test_lengths_of_a_slanted_view(slanted, tmp_path):
     assert abs(circle(tmp_path / "side")[0] / (RADIUS * side / 80) - 1) > 0.03
 
 
+def test_a_ratio_without_a_plane(slanted, tmp_path):
+    with pytest.raises(KeycldError, match="--plane-ratio 2 is the shape of a --plane: give its four corners too"):
+        import_clip(slanted, tmp_path / "wide", constraints=None, size=128, plane_ratio=2.0)
+    assert not (tmp_path / "wide").exists()
+
+
 def test_a_plane_that_cannot_be():
     with pytest.raises(KeycldError, match="four corners in the order"):
         plane_filter((0.0, 0.0, 10.0, 10.0, 10.0, 0.0, 0.0, 10.0), 1.0, 100, 100)

@@ -286,6 +286,9 @@ def test_the_command_makes_a_set(tmp_path, monkeypatch, capsys):
 def test_other_protocols_are_refused(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["data", "make", "zoo/four_bar", "--protocol", "keycld-2022"]) == 2
-    assert "zoo/four_bar has no initial state 'rest': choose from moving" in capsys.readouterr().err
+    told = "protocol keycld-2022 begins with the initial state 'rest', which zoo/four_bar does not have: leave out"
+    assert told in capsys.readouterr().err
     assert main(["data", "make", "pendulum", "--protocol", "zoo"]) == 2
-    assert "pendulum has no initial state 'moving'" in capsys.readouterr().err
+    assert "'moving', which pendulum does not have: leave out --protocol, or choose" in capsys.readouterr().err
+    assert main(["data", "make", "pendulum", "--initial-state", "moving"]) == 2
+    assert "pendulum has no initial state 'moving': choose from rest" in capsys.readouterr().err

@@ -10,6 +10,8 @@ import tyro
 from keycld._errors import KeycldError
 
 _HDF5 = (".h5", ".hdf5")
+_MOST = 10**9
+"""More frames than any recording has."""
 
 
 def predict(
@@ -69,6 +71,9 @@ def predict(
 def _frame(first: str, dt: Callable[[], float]) -> int:
     """Return the number of a frame that is given as a number, or as a time in seconds at the frame interval dt."""
     try:
-        return round(float(first[:-1]) / dt()) if first.endswith("s") else int(first)
+        number = round(float(first[:-1]) / dt()) if first.endswith("s") else int(first)
     except (ValueError, OverflowError):
-        raise KeycldError(f"--from is the number of a frame, or a time such as 12.5s, not '{first}'.") from None
+        number = _MOST
+    if abs(number) >= _MOST:
+        raise KeycldError(f"--from is the number of a frame, or a time such as 12.5s, not '{first}'.")
+    return number

@@ -28,7 +28,7 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
 
     Raises:
         KeycldError: pyarrow is missing, which writes Parquet files, the rate is no whole number, or the folder holds
-            a data set of something else.
+            other files or a data set of something else.
     """
     arrow = _pyarrow()
     fps = 1 / tracks.dt
@@ -69,8 +69,10 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
 
 
 def _refuse_other(folder: Path, features: dict[str, Any]) -> None:
-    """Refuse a folder with a data set of other features: its files would be mixed with these."""
+    """Refuse a folder with other files or a data set of other features: they would be mixed with these."""
     path = folder / "meta" / "info.json"
+    if folder.is_dir() and any(folder.iterdir()) and not path.exists():
+        raise KeycldError(f"{folder} holds other files, and stays as it is: choose another --out.")
     if path.exists() and read_json(path, dict[str, Any], f"delete {folder}").get("features") != features:
         raise KeycldError(f"{folder} holds another LeRobot data set, and stays as it is: choose another --out.")
 

@@ -35,6 +35,10 @@ def open_file(path: str | Path) -> Iterator[Any]:
     except PermissionError:
         raise KeycldError(f"{path} may not be read: change its permissions.") from None
     except Exception as error:  # on damaged bytes h5py may raise anything, or hand out None
+        if path.stat().st_size and not h5py.is_hdf5(path):
+            raise KeycldError(
+                f"{path} is no HDF5 file: name an .h5 file, or make data of a video with `keycld data import`."
+            ) from None
         raise KeycldError(
             f"{path} is not a whole HDF5 file, it is truncated or damaged: copy or make it again ({error})."
         ) from error

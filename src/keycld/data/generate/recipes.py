@@ -54,6 +54,12 @@ def recipe_for(
             protocol, control=control, initial_state=initial_state, clip=clip, input=input, runs=runs, frames=frames
         )
         for split in plan:
+            begins = split.conditions.initial_state
+            if initial_state is None and begins not in system.initial_states:
+                raise KeycldError(
+                    f"protocol {protocol} begins with the initial state '{begins}', which {system.name} does not have: "
+                    f"leave out --protocol, or choose an --initial-state from {', '.join(system.initial_states)}."
+                )
             system.check(split.conditions)
         described = [asdict(split) | {"conditions": split.conditions.described()} for split in plan]
         recipe = {"system": system.name, "protocol": protocol, "splits": described}

@@ -59,11 +59,14 @@ def look_at(path: Path, plane: Plane | None, plane_ratio: float, named: tuple[fl
     The part is from one second to another, or None: the longest stretch that shows the mechanism alone and in motion.
 
     Raises:
-        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut; a bad plane.
+        KeycldError: no such file, not a video, too short, nothing moves, the camera moves, a cut; a bad plane or
+            ratio.
     """
     width, height, rate, whole = probe(path)
     skip, until = named or (0.0, None)
     seconds = max(0.0, min(whole, until or whole) - skip)
+    if plane is None and plane_ratio != 1:
+        raise KeycldError(f"--plane-ratio {plane_ratio:g} is the shape of a --plane: give its four corners too.")
     mapped = "" if plane is None else f"{plane_filter(plane, plane_ratio, width, height)},"
     every = max(1, math.floor(seconds * rate / LOOKED))
     grey, dt = _grey(path, width, height, rate / every, (skip, until), mapped), float(every / rate)
