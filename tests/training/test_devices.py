@@ -51,6 +51,40 @@ for count in (3, 5):
 print(json.dumps([found[1], found[4], resumed, losses(made / "whole"), last, refused]))
 """
 
+EXCHANGES = r"""
+import json, re
+import jax, jax.numpy as jnp
+from keycld.data import Resident
+from keycld.mechanics import Constraints, DistanceToPoint
+from keycld.models import Scene, config_for
+from keycld.training.devices import use_devices
+from keycld.training.step import Fixed, initial_progress, step_keys, take_steps
+
+def exchanges(config, inputs):
+    "Count the operations of a step of the last stage by which devices exchange numbers, outside of loops and within."
+    devices, scene = use_devices(4), Scene(32, 32, inputs, 20, 0.05, 8)
+    stage = next(stage for stage in config.stages(scene) if stage.name in ("joint", "train"))
+    data = Resident(jnp.zeros((8, 20, 32, 32, 3), jnp.uint8), jnp.zeros((8, inputs)), jnp.asarray(0.05, jnp.float32))
+    progress, rest = initial_progress(stage, config.build(scene, jax.random.key(0)))
+    chosen, fixed, progress = devices.everywhere(
+        ((step_keys(0, 0), stage.rates(), stage.numbers), (rest, data), progress)
+    )
+    program = take_steps.lower(Fixed(stage.rule, devices, 1, chosen, *fixed), progress).compile().compiled.as_text()
+    loops, computation, found = set(re.findall(r"body=%?([\w.-]+)", program)), "", [0, 0]
+    for line in program.splitlines():
+        if begin := re.match(r"(?:ENTRY )?%?([\w.-]+) \(.*{$", line):
+            computation = begin[1]
+        found[computation in loops] += bool(re.search(r" all-(reduce|gather|to-all)(-start)?\(", line))
+    return found
+
+law = Constraints(("ball",), (DistanceToPoint("ball"),))
+keycld = config_for("keycld", "fast", constraints=law, width=8, groups=2, joint={"horizons": (16,), "batch": 4})
+small = {"channels": 4, "hidden": 8, "depth": 1, "latent": 4}
+hgn = config_for("hgn", "released", **small, batch=8, targets=10, frames_at_once=9)
+ar = config_for("ar", "fast", channels=4, batch=8)
+print(json.dumps([exchanges(keycld, 1), exchanges(hgn, 0), exchanges(ar, 0)]))
+"""
+
 
 @pytest.mark.slow
 def test_several_devices_give_the_losses_of_one(tmp_path, trained):
@@ -67,6 +101,16 @@ def test_several_devices_give_the_losses_of_one(tmp_path, trained):
     assert "takes 4 clips a step, which 3 devices cannot share equally: set its batch to a multiple of 3" in refused[0]
     assert "--devices is a number from 1 to 4, those of this machine (cpu), not 5: take fewer, or sim" in refused[1]
     assert not (tmp_path / "refused").exists()
+
+
+@pytest.mark.slow
+def test_devices_exchange_numbers_outside_of_loops_alone():
+    """Else they would send the whole gradient for every frame of a motion and every chunk of frames."""
+    flags = {"XLA_FLAGS": f"{os.environ['XLA_FLAGS']} {SIMULATED}"}
+    told = subprocess.run([sys.executable, "-c", EXCHANGES], env=os.environ | flags, capture_output=True, text=True)
+    assert told.returncode == 0, told.stderr[-2000:]
+    for outside, within in json.loads(told.stdout):
+        assert outside > 0 and within == 0
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array
 
+from keycld._shares import shared_by
 from keycld.data import Clip, Resident
 from keycld.stages import AbstractLoss, AbstractStatefulLoss, Rule, Stage
 from keycld.training.devices import Devices
@@ -124,7 +125,8 @@ def take_steps(fixed: Fixed, progress: Progress) -> Taken:
 
     def one(progress: Progress) -> Taken:
         clips = devices.divided(fixed.clips(progress.step))
-        return devices.whole(_stepped(rule, chosen, rest, clips, progress))
+        with shared_by(devices.mesh):
+            return devices.whole(_stepped(rule, chosen, rest, clips, progress))
 
     return _repeated(one, progress, fixed.steps)
 

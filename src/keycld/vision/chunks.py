@@ -8,6 +8,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
+from keycld._shares import by_device
+
 
 def mean_in_chunks(
     function: Callable[[Any, Any], Float[Array, ""]], module: PyTree, elements: PyTree, at_once: int
@@ -22,31 +24,40 @@ def mean_in_chunks(
         function: from a module and one element to a number, differentiable once.
         module: whose floating-point arrays may be trained.
         elements: a pytree of floating-point arrays with a common first axis.
-        at_once: how many elements a chunk holds.
+        at_once: how many elements a chunk holds, on each device.
     """
-    count = jax.tree.leaves(elements)[0].shape[0]
     weights, rest = eqx.partition(module, eqx.is_inexact_array)
 
+    def of_part(weights: Any, elements: Any) -> Array:
+        return _mean_in_chunks(
+            lambda weights, each: function(eqx.combine(weights, rest), each), weights, elements, at_once
+        )
+
+    return jnp.mean(by_device(of_part, weights, elements))
+
+
+def _mean_in_chunks(function: Callable[[Any, Any], Array], weights: Any, elements: Any, at_once: int) -> Array:
+    """Return the mean over the elements of one device."""
+    count = jax.tree.leaves(elements)[0].shape[0]
+
     def total(weights: Any, chunk: Any, counts: Array) -> Array:
-        module = eqx.combine(weights, rest)
-        return jnp.sum(counts * jax.vmap(lambda element: function(module, element))(chunk))
+        return jnp.sum(counts * jax.vmap(lambda element: function(weights, element))(chunk))
 
     if count <= at_once:
         return total(weights, elements, jnp.ones(count)) / count
     chunks = -(-count // at_once)
     size = -(-count // chunks)
-    counts = (jnp.arange(chunks * size) < count).astype(jnp.float32).reshape(size, chunks).T
+    counts = (jnp.arange(chunks * size) < count).astype(jnp.float32).reshape(chunks, size)
 
     def forward(weights: Any, elements: Any) -> tuple[Array, tuple[Any, Any]]:
         last = jnp.minimum(jnp.arange(chunks * size), count - 1)
 
         def split(leaf: Array) -> Array:
-            # Neighbours go to different chunks: devices that have a part of the elements each share every chunk.
             filled = leaf if chunks * size == count else leaf[last]
-            return filled.reshape(size, chunks, *leaf.shape[1:]).swapaxes(0, 1)
+            return filled.reshape(chunks, size, *leaf.shape[1:])
 
         def join(parts: Array) -> Array:
-            return parts.swapaxes(0, 1).reshape(chunks * size, *parts.shape[2:])[:count]
+            return parts.reshape(chunks * size, *parts.shape[2:])[:count]
 
         def add(sums: tuple[Array, Any], chunk: tuple[Any, Array]) -> tuple[tuple[Array, Any], Any]:
             value, (by_weights, by_elements) = jax.value_and_grad(total, argnums=(0, 1))(weights, *chunk)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from keycld._shares import over_clips
 from keycld.data import Clip
 from keycld.mechanics import Scalar, State
 from keycld.models.keycld.exchange import arranged, nearest_order, shuffled
@@ -347,7 +348,7 @@ def _rolled_out(model: AbstractKeypointModel, observed: Array, clips: Clip) -> A
     """Return positions `[batch, groups, F, 2K]` at the clips' frames, of a roll-out from each group of observations."""
     given = model.context
 
-    def one(x: Array, index: Array, u: Array, dt: Array) -> Array:
+    def one(model: AbstractKeypointModel, x: Array, index: Array, u: Array, dt: Array) -> Array:
         def inputs(frames: Array) -> Array:
             # Positions beyond the clip are not read, so any input serves there.
             return u if u.ndim == 1 else u[jnp.clip(frames, 0, clips.span - 1)]
@@ -369,7 +370,7 @@ def _rolled_out(model: AbstractKeypointModel, observed: Array, clips: Clip) -> A
 
         return jax.vmap(motion)(x.reshape(-1, given, x.shape[-1]), index[::given])
 
-    return jax.vmap(one)(observed, clips.index, clips.u, clips.dt)
+    return over_clips(one, model, observed, clips.index, clips.u, clips.dt)
 
 
 def unevenness(model: AbstractKeypointModel, x: Array) -> tuple[Array, Array]:

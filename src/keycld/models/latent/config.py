@@ -69,7 +69,7 @@ class LatentConfig(ModelConfig):
     batch: int = 128
     """Windows a step."""
     frames_at_once: int = 512
-    """Frames of 32×32 pixels that training renders in parallel, about 2 MB each; of larger ones, fewer."""
+    """Frames of 32×32 pixels that a device renders in parallel in training, about 2 MB each; of larger ones, fewer."""
 
     def __post_init__(self) -> None:
         """Refuse settings that do not fit together."""

@@ -14,6 +14,7 @@ import optax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float, Int, PRNGKeyArray
 
+from keycld._shares import over_clips
 from keycld.data import Clip
 from keycld.mechanics import Scalar, State
 from keycld.models.base import Gaussian
@@ -149,10 +150,12 @@ def reconstruct(
         noise = jax.random.normal(jax.random.fold_in(key, first), posterior.mean.shape)
         latent = posterior.mean + posterior.deviation * noise
 
-        def motion(latent: Array, u: Array, dt: Array, at: int = first + model.anchored) -> State:
+        def motion(
+            model: AbstractLatentModel, latent: Array, u: Array, dt: Array, at: int = first + model.anchored
+        ) -> State:
             return model.unroll(model.state(latent), at, dt, u, length)
 
-        states.append(jax.vmap(motion)(latent, clips.u[part], clips.dt[part]))
+        states.append(over_clips(motion, model, latent, clips.u[part], clips.dt[part]))
         posteriors.append(posterior)
     earliest = 0 if targets.given else model.anchored
     moved = jax.tree.map(lambda *parts: jnp.concatenate(parts), *states)
