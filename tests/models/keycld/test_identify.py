@@ -23,7 +23,7 @@ from keycld.mechanics import (
     with_kinds,
 )
 from keycld.models import Scene, config_for
-from keycld.models.keycld import identify, law_fit, light, prepare
+from keycld.models.keycld import fast_stages, identify, law_fit, prepare
 from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
 from keycld.models.keycld.selection import Tried, select_terms
 from keycld.models.keycld.tracks import Tracks
@@ -339,10 +339,10 @@ def test_forces_that_act_stay_however_clean_the_keypoints(noise):
 def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatch):
     """Those that only followed errors of the first keypoints are dropped."""
     asked = []
-    for module in (prepare, light):
+    for module in (prepare, fast_stages):
         monkeypatch.setattr(module, "fit_dynamics", lambda model, data, **how: asked.append(how) or (model, data))
         monkeypatch.setattr(module, "measure_velocity_prior", lambda model, data: (model, data))
-    monkeypatch.setattr(light, "measure_part_light", lambda model, data: (model, data))
+    monkeypatch.setattr(fast_stages, "measure_part_light", lambda model, data: (model, data))
     config = config_for("keycld", preset, constraints=Constraints(("bob",), (DistanceToPoint("bob"),)))
     data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
     config.stages(Scene(height=16, width=16, inputs=0, frames=10, dt=0.05, trajectories=3))[-1].prepare(None, data)

@@ -3,7 +3,6 @@
 A preparation is a function (model, resident data) → (model, resident data).
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import equinox as eqx
@@ -286,17 +285,6 @@ def measure_own_prior(model: Any, data: Resident) -> tuple[Any, Resident]:
     )
     # Factors mean nothing without the law of the same fit: (μ, V) is known up to a common factor.
     return eqx.tree_at(lambda m: (m.dynamics, m.initial_state.prior), model, (fitted.dynamics, prior)), data
-
-
-def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
-    """Return several preparations as one."""
-
-    def prepare(model: Any, data: Resident) -> tuple[Any, Resident]:
-        for step in steps:
-            model, data = step(model, data)
-        return model, data
-
-    return prepare
 
 
 def _told_apart(model: KeyCLD, data: Resident) -> KeyCLD:

@@ -36,9 +36,9 @@ class ControlConfig(FastConfig):
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with the last fit of the preset."""
-        from keycld.models.keycld import prepare
+        from keycld.models.keycld import fast_stages, prepare
 
         *stages, last = super().stages(scene)
         fit = functools.partial(prepare.fit_dynamics, trajectories=self.last_fit, tried=self.tried)
-        steps = prepare.sequence(fit, prepare.measure_velocity_prior)
+        steps = fast_stages.sequence(fit, prepare.measure_velocity_prior)
         return *stages, dataclasses.replace(last, prepare=steps)

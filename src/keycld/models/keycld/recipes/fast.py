@@ -276,22 +276,22 @@ class FastConfig(KeyCLDConfig):
 
     def matching(self, model: "AbstractModel") -> "FastConfig":
         """Return the config with the terms of the model's V and R, and with discs, which training may have found."""
-        from keycld.models.keycld import light
+        from keycld.mechanics import terms_of
+        from keycld.models.keycld.model import KeyCLD
 
-        kinds = light.kinds(model)
-        if kinds is None:
+        if not isinstance(model, KeyCLD):
             return self
-        found = light.knows_discs(model) and not self.own_parameters
-        return dataclasses.replace(self, terms=kinds, discs=found or self.discs)
+        found = model.part_light is not None and not self.own_parameters
+        return dataclasses.replace(self, terms=tuple(terms_of(model.law)), discs=found or self.discs)
 
     def build(self, scene: Scene, key: "PRNGKeyArray") -> "AbstractKeypointModel":
-        """Build KeyCLD with light U-Nets at half resolution, affine parts in V and g, and RATTLE."""
-        from keycld.models.keycld import light
+        """Build KeyCLD with small U-Nets at half resolution, affine parts in V and g, and RATTLE."""
+        from keycld.models.keycld import fast_model
 
-        return light.build(self, scene, key)
+        return fast_model.build(self, scene, key)
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages vision, dynamics, joint and prior; no horizon is longer than the trajectories."""
-        from keycld.models.keycld import light
+        from keycld.models.keycld import fast_stages
 
-        return light.stages(self, scene)
+        return fast_stages.stages(self, scene)
