@@ -17,7 +17,8 @@ from keycld.data import open_data
 from keycld.mechanics import terms_of, with_kinds, with_terms
 from keycld.models import Scene, config_for
 from keycld.models.keycld import identify
-from keycld.models.keycld.prepare import fit_dynamics, measure_velocity_prior
+from keycld.models.keycld.prepare_dynamics import fit_dynamics
+from keycld.models.keycld.prepare_priors import measure_velocity_prior
 from keycld.models.keycld.recipes.fast import FastConfig
 from keycld.stages import AbstractLoss
 from keycld.training import finished, load_run, loop, runs, train

@@ -23,8 +23,8 @@ from keycld.mechanics import (
     with_kinds,
 )
 from keycld.models import Scene, config_for
-from keycld.models.keycld import fast_stages, identify, law_fit, prepare
-from keycld.models.keycld.prepare import fit_dynamics, identify_dynamics
+from keycld.models.keycld import fast_stages, identify, law_fit, prepare_dynamics, prepare_priors
+from keycld.models.keycld.prepare_dynamics import fit_dynamics, identify_dynamics
 from keycld.models.keycld.selection import Tried, select_terms
 from keycld.models.keycld.tracks import Tracks
 from keycld.vision import AbstractEstimator, Observation
@@ -291,13 +291,13 @@ def test_singular_constraints_end_the_training_with_a_sentence(monkeypatch):
     angle = np.linspace(0, 3, 30).reshape(3, 10)
     ends = np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, :, None] * np.array([0.5, -0.35])[:, None]
     x = jnp.asarray(ends.reshape(3, 10, 4), jnp.float32)
-    monkeypatch.setattr(prepare, "observed_keypoints", lambda *_: (x, jnp.zeros((3, 0))))
+    monkeypatch.setattr(prepare_dynamics, "observed_keypoints", lambda *_: (x, jnp.zeros((3, 0))))
     rods = Constraints(("a", "b"), (DistanceToPoint("a"), DistanceToPoint("b"), FixedDistance("a", "b")))
     scene = Scene(height=16, width=16, inputs=0, frames=10, dt=0.05, trajectories=3)
     model = config_for("keycld", "fast", width=8, constraints=rods).build(scene, jax.random.key(0))
     data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
     with pytest.raises(KeycldError, match="the constraints are singular where the keypoints are"):
-        prepare.identify_dynamics(model, data)
+        identify_dynamics(model, data)
 
 
 @pytest.mark.slow
@@ -339,8 +339,9 @@ def test_forces_that_act_stay_however_clean_the_keypoints(noise):
 def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatch):
     """Those that only followed errors of the first keypoints are dropped."""
     asked = []
-    for module in (prepare, fast_stages):
+    for module in (prepare_dynamics, fast_stages):
         monkeypatch.setattr(module, "fit_dynamics", lambda model, data, **how: asked.append(how) or (model, data))
+    for module in (prepare_priors, fast_stages):
         monkeypatch.setattr(module, "measure_velocity_prior", lambda model, data: (model, data))
     monkeypatch.setattr(fast_stages, "measure_part_light", lambda model, data: (model, data))
     config = config_for("keycld", preset, constraints=Constraints(("bob",), (DistanceToPoint("bob"),)))

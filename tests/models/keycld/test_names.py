@@ -9,7 +9,7 @@ import pytest
 from keycld.data import Resident
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance
 from keycld.models import Scene, config_for
-from keycld.models.keycld.prepare import name_keypoints
+from keycld.models.keycld.prepare_vision import name_keypoints
 from keycld.vision import AbstractEstimator, Observation
 
 CHAIN = Constraints(

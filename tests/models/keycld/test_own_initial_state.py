@@ -25,13 +25,14 @@ from keycld.mechanics import (
 from keycld.mechanics.forces.anchors import Anchors
 from keycld.mechanics.lagrangian import ConstrainedLagrangian
 from keycld.models import Scene, config_for
-from keycld.models.keycld import prepare
+from keycld.models.keycld import prepare_priors
 from keycld.models.keycld.identify import evidence, identify, refit
 from keycld.models.keycld.law_fit import climb
 from keycld.models.keycld.losses import SmoothedLoss
-from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior
+from keycld.models.keycld.own_initial_state import OwnInitialState, OwnPrior, own_guess
 from keycld.models.keycld.part_light import PartLight, most_frequent
-from keycld.models.keycld.prepare import own_guess
+from keycld.models.keycld.prepare_priors import measure_own_prior
+from keycld.models.keycld.prepare_vision import measure_part_light
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import Tracks
 from keycld.systems import get
@@ -162,10 +163,10 @@ def test_discs_that_explain_the_light_and_are_near_are_taken(shape, pixels, take
     model = config.build(scene, jax.random.key(0))
     model = eqx.tree_at(lambda m: m.estimator, model, MiddleOfLight(pixels * 2 / 31))
     data = Resident(a_part(shape), jnp.zeros((24, 0)), DT)
-    found = prepare.measure_part_light(model, data)[0].part_light
+    found = measure_part_light(model, data)[0].part_light
     assert bool(found.discs) is taken
     np.testing.assert_allclose(found.background[:4], 0.2, atol=1e-6)
-    assert not prepare.measure_part_light(model, data, discs=False)[0].part_light.discs
+    assert not measure_part_light(model, data, discs=False)[0].part_light.discs
 
 
 @pytest.mark.parametrize(("shape", "taken"), [("disc", True), ("square", False)])
@@ -176,7 +177,7 @@ def test_a_model_of_discs_is_built_again_from_its_settings(shape, taken):
     model = config.build(scene, jax.random.key(0))
     assert model.part_light is None and "discs" not in config.settings()
     model = eqx.tree_at(lambda m: m.estimator, model, MiddleOfLight(0.3 * 2 / 31))
-    model, _ = prepare.measure_part_light(model, Resident(a_part(shape), jnp.zeros((24, 0)), DT))
+    model, _ = measure_part_light(model, Resident(a_part(shape), jnp.zeros((24, 0)), DT))
     assert (model.part_light is not None) is taken
     changes = _changes(config, config.matching(model))
     assert changes == ({"discs": True} if taken else {})
@@ -292,7 +293,8 @@ def test_the_prior_of_masses_belongs_to_the_law_of_the_model(monkeypatch):
     model = eqx.tree_at(lambda m: m.dynamics, model, on_a_line(springs=Springs(jnp.array([[3.0]]))))
     _, mass, _, paths = recordings(24, 60, 0)
     seen = paths + 1e-3 * np.random.default_rng(1).normal(size=paths.shape)
-    monkeypatch.setattr(prepare, "observed_keypoints", lambda *_: (jnp.asarray(seen, jnp.float32), jnp.zeros((24, 0))))
+    observed = jnp.asarray(seen, jnp.float32), jnp.zeros((24, 0))
+    monkeypatch.setattr(prepare_priors, "observed_keypoints", lambda *_: observed)
 
     def refit_twice_as_heavy(dynamics, tracks):
         fitted, fitted_to = refit(dynamics, tracks)
@@ -301,9 +303,9 @@ def test_the_prior_of_masses_belongs_to_the_law_of_the_model(monkeypatch):
         )
         return fitted._replace(dynamics=stiffer, own=fitted.own.at[:, 2].add(jnp.log(2.0))), fitted_to
 
-    monkeypatch.setattr(prepare, "refit", refit_twice_as_heavy)
+    monkeypatch.setattr(prepare_priors, "refit", refit_twice_as_heavy)
     data = Resident(jnp.zeros((24, 60, 16, 16, 3), jnp.uint8), jnp.zeros((24, 0)), DT)
-    model, _ = prepare.measure_own_prior(model, data)
+    model, _ = measure_own_prior(model, data)
     mean = eqx.filter_jit(model.initial_state.prior.expected_factors)(None, jnp.zeros(1))
     stiffness = model.law.potential.terms["springs"].stiffness[0, 0] / model.law.masses[0]
     assert float(stiffness / jnp.exp(mean[0])) == pytest.approx(2 / np.exp(np.mean(np.log(mass))), rel=0.03)

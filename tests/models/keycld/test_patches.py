@@ -9,7 +9,7 @@ import pytest
 from keycld.data import Trajectories, resident
 from keycld.models import Scene, config_for
 from keycld.models.keycld.patches import shared_patches
-from keycld.models.keycld.prepare import measure_background
+from keycld.models.keycld.prepare_vision import measure_background
 
 SIZE = 32
 PENDULUM = 'keypoints = ["ball"]\n\n[[constraint]]\nkind = "distance_to_point"\nkeypoint = "ball"\npoint = "unknown"\n'

@@ -12,7 +12,7 @@ from keycld.data import Resident
 from keycld.mechanics import Constraints, DistanceToPoint, MechanicalDynamics, Motion, State
 from keycld.models import Scene, config_for
 from keycld.models.keycld.initial_state import FittedInitialState
-from keycld.models.keycld.prepare import measure_velocity_prior
+from keycld.models.keycld.prepare_priors import measure_velocity_prior
 from keycld.models.keycld.velocity_prior import VelocityPrior
 from keycld.vision import Observation
 
@@ -50,7 +50,6 @@ class Observed(eqx.Module):
     dynamics: MechanicalDynamics
     initial_state: FittedInitialState
     velocity_prior: VelocityPrior | None
-    context: int = 2
 
     def observe_clips(self, frames):
         bits = jnp.round(255 * frames).astype(jnp.uint8).reshape(-1, 9)[:, :8].reshape(-1, 1, 2, 4)

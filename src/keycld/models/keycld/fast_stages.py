@@ -11,17 +11,9 @@ from keycld.mechanics import ConstrainedLagrangian
 from keycld.models.keycld.judge import judge_dynamics, judge_trained, judge_vision
 from keycld.models.keycld.losses import PredictionLoss, SmoothedLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import AbstractKeypointModel
-from keycld.models.keycld.prepare import (
-    cache_keypoints,
-    fit_dynamics,
-    identify_dynamics,
-    measure_own_prior,
-    measure_part_light,
-    measure_statistics,
-    measure_velocity_prior,
-    name_keypoints,
-    share_constants,
-)
+from keycld.models.keycld.prepare_dynamics import cache_keypoints, fit_dynamics, identify_dynamics, share_constants
+from keycld.models.keycld.prepare_priors import measure_own_prior, measure_velocity_prior
+from keycld.models.keycld.prepare_vision import measure_part_light, measure_statistics, name_keypoints
 from keycld.models.scene import Scene
 from keycld.stages import Group, Stage, muon, part, warmup_cosine
 

@@ -13,8 +13,8 @@ from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, moved, t
 from keycld.models.keycld.identify import explain
 from keycld.models.keycld.losses import squared_error
 from keycld.models.keycld.model import KeyCLD
-from keycld.models.keycld.own_initial_state import OwnInitialState
-from keycld.models.keycld.prepare import COMPARED, FITTED, observed_keypoints, own_guess
+from keycld.models.keycld.observe import COMPARED, FITTED, observed_keypoints, spread
+from keycld.models.keycld.own_initial_state import OwnInitialState, own_guess
 from keycld.models.keycld.selection import Tried
 from keycld.models.keycld.tracks import MISSED, Tracks, nearest_polynomials
 from keycld.vision import image_grid, pixel_size
@@ -51,7 +51,7 @@ def judge_vision(model: Any, data: Resident, *, worst: float) -> str | None:
         data: the training data.
         worst: the largest share that passes.
     """
-    some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
+    some = spread(data, COMPARED)
     error = float(np.mean([_rendering_error(model, data.image[i]) for i in some]))
     whole = float(model.estimator.standardise.deviation) ** 2 * model.renderer.background.size
     share = error / whole
@@ -302,7 +302,7 @@ def judge_trained(
 
 def _stands_out(model: Any, data: Resident) -> float:
     """Return by how much frames differ from the background at the best keypoint, as a share of the most; their mean."""
-    some = range(0, len(data.u), max(1, len(data.u) // COMPARED))
+    some = spread(data, COMPARED)
     grid = image_grid(*data.shape[2:4])
     x, y = grid[0, :, 0], grid[:, 0, 1]
 
@@ -323,6 +323,5 @@ def _stands_out(model: Any, data: Resident) -> float:
 def _rendering_error(model: Any, image: jax.Array) -> jax.Array:
     """Return the squared error of a recording rendered from the keypoints observed in it, mean over frames."""
     frames = image.astype(jnp.float32) / 255.0
-
     observed = model.observe_clips(frames[None])
     return squared_error(jax.vmap(model.renderer)(observed.keypoints, observed.looks), frames)

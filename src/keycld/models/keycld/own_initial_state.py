@@ -13,10 +13,12 @@ from keycld.mechanics import (
     ConstrainedLagrangian,
     MechanicalDynamics,
     Motion,
+    Own,
     State,
     moved,
     own_law,
     own_parameters,
+    rough_places,
 )
 from keycld.models.keycld.initial_state import TAIL, AbstractInitialState, reweighted
 
@@ -29,6 +31,8 @@ _LEAST = 1e-3
 _WIDTHS, _RIDGES = (0.5, 1.0, 2.0, 4.0), (1e-5, 1e-4, 1e-3, 1e-2, 1e-1, 1.0)
 # Least deviation of what is seen that is the unit: 10 % of the size of light, as much of its direction.
 _DIM = 0.1
+# Deviations of places and of the logarithms of factors in a wide prior, and of an observation next to which it is wide.
+_WIDE, _EXACT = (0.3, 0.5), 1e-3
 # Constants above this share of the largest one are not near 0.
 _NEAR_ZERO = 0.05
 
@@ -272,6 +276,17 @@ class OwnInitialState(AbstractInitialState):
         ends, costs = jax.vmap(search)(guesses)
         best = jnp.argmin(costs)
         return state(ends[best]), costs[best]
+
+
+def own_guess(model: Any, x: jax.Array) -> Own | None:
+    """Return a first guess and a wide prior of the own parameters in keypoints `[N, T, 2K]`; None without any."""
+    if not isinstance(model.initial_state, OwnInitialState):
+        return None
+    numbers = jnp.concatenate(
+        [rough_places(model.law, x), jnp.zeros((len(x), len(model.initial_state.prior.factors)))], axis=1
+    )
+    spread = jnp.where(jnp.arange(numbers.shape[1]) < 2, *_WIDE)
+    return Own(numbers, numbers, jnp.diag((_EXACT / spread) ** 2))
 
 
 def _sizes(constants: Any, powers: Any) -> Array:

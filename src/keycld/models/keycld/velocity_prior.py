@@ -1,5 +1,7 @@
 """The prior of the initial velocity."""
 
+from collections.abc import Callable
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -7,6 +9,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from keycld.mechanics import ConstrainedLagrangian, MechanicalDynamics, Motion, State, matmul
+from keycld.models.keycld.initial_state import AbstractInitialState
 
 # ν. Observation errors have heavy tails: on acrobot and cartpole their quantiles are those of Student's t with 4.
 _TAIL = 4
@@ -16,6 +19,10 @@ _TIMES = np.array([1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 11.0, 16.0])
 _APART = np.array([0.0, 0.5, 0.5, 0.75, 1.0, 1.25, 2.0, 2.5])
 # The prior probability of the first time is one half of that of an arbitrary velocity; the later ones share as much.
 _WEIGHTS = np.array([0.5, *(0.5 / 7,) * 7])
+
+
+# Distance beyond which an error of a prediction counts linearly instead of squared, image-plane units.
+_SCALE = 0.03
 
 
 class VelocityPrior(eqx.Module):
@@ -37,7 +44,7 @@ class VelocityPrior(eqx.Module):
     is about parallel to a. An observed velocity v_s that is far from all t a stays as observed. The weight w_j
     estimates the size of the error e. Approximations: b_j + e is treated as one Student's t, its normalisation relative
     to the normal distribution is left out (1.06 for n = 1, 1 for n = 2), σ_s is neglected compared with σ_v, and a is
-    that of the first frame. The numbers are measured on training recordings (`measure_velocity_prior`), not trained;
+    that of the first frame. The numbers are measured on training recordings (`measured`), not trained;
     losses use the observed velocity. Ours, in no paper.
 
     Attributes:
@@ -57,6 +64,55 @@ class VelocityPrior(eqx.Module):
         """Return the prior before it is measured, which changes no velocity."""
         zero, one = jnp.zeros(()), jnp.ones(())
         return cls(zero, one, zero, one)
+
+    @classmethod
+    def measured(
+        cls,
+        dynamics: MechanicalDynamics,
+        initial_state: AbstractInitialState,
+        keypoints: Float[Array, "N T dim"],
+        u: Float[Array, "N *T l"],
+        dt: Float[Array, ""],
+    ) -> "VelocityPrior":
+        """Return the prior that recordings show.
+
+        τ is the time after rest whose velocities τ a predict the recordings best. σ_s² / (σ_s² + σ_b²) is the best step
+        from the observed velocities v_s towards τ a, as a share of their difference d. σ_s² + σ_b² is the median of
+        |d|² for each degree of freedom, so that a minority of recordings may have any initial velocity.
+
+        Args:
+            dynamics: with a constrained Lagrangian.
+            initial_state: gives v_s.
+            keypoints: of recordings from their first frame on.
+            u: inputs, constant or held from each frame on; more frames than `keypoints` have are not read.
+            dt: seconds between frames.
+        """
+        law, given = dynamics.law, initial_state.given
+        assert isinstance(law, ConstrainedLagrangian)
+        freedom = law.freedom
+        initial = jax.vmap(lambda x, u: initial_state(dynamics, x[:given], dt, u))(keypoints, u)
+        x, observed = initial.coordinates
+        # The input of the last frame acts after it.
+        first, acting = (u, u) if u.ndim == 2 else (u[:, 0], u[:, : keypoints.shape[1] - 1])
+        acceleration = jax.vmap(lambda x, u: law.acceleration(x, jnp.zeros_like(x), u))(x, first)
+
+        def error(v: jax.Array) -> jax.Array:
+            """Return the robust error of predictions with these initial velocities; diverged ones count little."""
+            states = State(Motion(x, v), initial.parameters)
+            paths = jax.vmap(lambda state, u: dynamics.rollout(state, u, dt, keypoints.shape[1] - 1).x)(states, acting)
+            far = jnp.nan_to_num(jnp.sum((paths - keypoints) ** 2, axis=-1), nan=1.0, posinf=1.0)
+            return jnp.mean(jnp.sqrt(1 + far / _SCALE**2))
+
+        def best(choices: jax.Array, velocities: Callable[[jax.Array], jax.Array]) -> jax.Array:
+            return choices[jnp.argmin(jax.lax.map(lambda choice: error(velocities(choice)), choices))]
+
+        elapsed = best(dt * jnp.linspace(0.0, 3.0, 31), lambda elapsed: elapsed * acceleration)
+        off = observed - elapsed * acceleration
+        part = best(jnp.linspace(0.0, 1.0, 21), lambda part: observed - part * off)
+        # The median of χ² with n degrees of freedom is near n (1 − 2/9n)³.
+        variance = jnp.nanmedian(jnp.sum(off**2, axis=-1)) / (freedom * (1 - 2 / (9 * freedom)) ** 3) + 1e-12
+        speed = jnp.sqrt(jnp.mean(jnp.sum(jnp.diff(keypoints, axis=1) ** 2, axis=-1)) / freedom) / dt
+        return cls(elapsed, jnp.sqrt((1 - part) * variance), jnp.sqrt(part * variance), speed)
 
     def __call__(
         self,

@@ -64,7 +64,8 @@ class ClipConfig(FastConfig):
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with a last fit; without `joint` if it has no steps."""
         from keycld.models.keycld.judge import judge_clip
-        from keycld.models.keycld.prepare import fit_again, measure_background
+        from keycld.models.keycld.prepare_dynamics import fit_again
+        from keycld.models.keycld.prepare_vision import measure_background
 
         vision, *others = super().stages(scene)
         assert vision.alternative is not None

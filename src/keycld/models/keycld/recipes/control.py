@@ -36,9 +36,10 @@ class ControlConfig(FastConfig):
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with the last fit of the preset."""
-        from keycld.models.keycld import fast_stages, prepare
+        from keycld.models.keycld.fast_stages import sequence
+        from keycld.models.keycld.prepare_dynamics import fit_dynamics
+        from keycld.models.keycld.prepare_priors import measure_velocity_prior
 
         *stages, last = super().stages(scene)
-        fit = functools.partial(prepare.fit_dynamics, trajectories=self.last_fit, tried=self.tried)
-        steps = fast_stages.sequence(fit, prepare.measure_velocity_prior)
-        return *stages, dataclasses.replace(last, prepare=steps)
+        fit = functools.partial(fit_dynamics, trajectories=self.last_fit, tried=self.tried)
+        return *stages, dataclasses.replace(last, prepare=sequence(fit, measure_velocity_prior))
