@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import jax
 import pytest
 
 from keycld._errors import KeycldError
@@ -113,10 +114,17 @@ def test_devices_exchange_numbers_outside_of_loops_alone():
         assert outside > 0 and within == 0
 
 
+def test_a_processor_counts_as_many_devices():
+    script = "from keycld.training.devices import use_devices; print(use_devices(3).count, use_devices(1).count)"
+    told = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert told.stdout.split() == ["3", "1"]
+
+
 @pytest.mark.parametrize(
     ("count", "fix"), [(0, ""), (2, ": take fewer, or simulate more with XLA_FLAGS=--xla_force_host_.*_count=2")]
 )
 def test_a_number_of_devices_that_are_not_there_is_refused(count, fix):
+    jax.devices()  # Until a process computes, its processor counts as many devices.
     words = rf"--devices is 1, the only one of this machine \(cpu\), not {count}{fix}\.$"
     with pytest.raises(KeycldError, match=words):
         use_devices(count)

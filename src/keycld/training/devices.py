@@ -1,6 +1,8 @@
 """The devices that share each batch of a training."""
 
+import contextlib
 import dataclasses
+import os
 from typing import Any
 
 import equinox as eqx
@@ -15,6 +17,7 @@ from keycld.data import Resident
 from keycld.stages import Stage
 
 _CLIPS = "clips"
+_SIMULATE = "--xla_force_host_platform_device_count"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,19 +100,24 @@ def _on_all(leaf: Any, whole: NamedSharding) -> Any:
 def use_devices(count: int) -> Devices:
     """Return the first devices of this machine, or of each process that has joined the training.
 
+    A processor counts as so many devices, unless the process has computed before, or `XLA_FLAGS` says how many.
+
     Args:
         count: how many of each process.
 
     Raises:
         KeycldError: there are fewer.
     """
+    if count > 1 and _SIMULATE not in os.environ.get("XLA_FLAGS", ""):
+        with contextlib.suppress(RuntimeError):
+            jax.config.update("jax_num_cpu_devices", count)
     found = jax.local_devices()
     if not 1 <= count <= len(found):
         kind = found[0].platform
         known = f"a number from 1 to {len(found)}, those" if len(found) > 1 else "1, the only one"
         how = ": take fewer" if count > 1 else ""
         if how and kind == "cpu":
-            how += f", or simulate more with XLA_FLAGS=--xla_force_host_platform_device_count={count}"
+            how += f", or simulate more with XLA_FLAGS={_SIMULATE}={count}"
         raise KeycldError(f"--devices is {known} of this machine ({kind}), not {count}{how}.")
     if count == jax.process_count() == 1:
         return Devices()

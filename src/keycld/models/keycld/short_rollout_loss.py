@@ -6,6 +6,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, PRNGKeyArray
 
 from keycld._errors import KeycldError
+from keycld._shares import over_clips
 from keycld.data import Clip
 from keycld.mechanics import Euler, MechanicalDynamics, Motion, Scalar, State
 from keycld.models.keycld.initial_state import allowed_velocity
@@ -69,7 +70,7 @@ class ShortRolloutLoss(AbstractLoss):
         observed = self._observe(model, frames, key)
         dynamics = MechanicalDynamics(model.moving_law, Euler())
 
-        def one(x: Array, u: Array, dt: Array) -> Array:
+        def one(dynamics: MechanicalDynamics, x: Array, u: Array, dt: Array) -> Array:
             v = jax.vmap(lambda x, v: allowed_velocity(dynamics, x, v))(x[1:-1], (x[2:] - x[:-2]) / (2 * dt))
 
             def squared_distance(k: Array) -> Array:
@@ -83,7 +84,7 @@ class ShortRolloutLoss(AbstractLoss):
         x = observed.keypoints.reshape(batch, count, -1)
         terms = {
             "reconstruction": squared_error(jax.vmap(model.renderer)(observed.keypoints), frames),
-            "dynamics": jnp.mean(jax.vmap(one)(x, clips.u, clips.dt)),
+            "dynamics": jnp.mean(over_clips(one, dynamics, x, clips.u, clips.dt)),
             "heat_map": _cross_entropy(observed, (height, width), self.sigma),
         }
         total = terms["reconstruction"] + self.dynamics * terms["dynamics"] + self.heat_map * terms["heat_map"]
