@@ -397,13 +397,14 @@ def test_another_seed_gives_other_weights_and_may_not_share_a_folder(whole, tmp_
         train(data, root / "whole", CONFIG.changed({"joint.rate": 0.5}))
 
 
-def test_the_control_preset_ends_with_a_fit_to_more_recordings(whole):
+def test_the_control_preset_ends_as_fast_does_with_a_fit_to_more_recordings(whole, capsys):
     root, data, before = whole
     config = config_for("keycld", "control", **TINY, last_fit=6).completed(open_data(data))
     last = config.stages(Scene(**read_config(root / "whole").scene))[-1]
     resident = open_data(data).resident()
     expected, _ = measure_velocity_prior(*fit_dynamics(before, resident, trajectories=6))
     assert_same(expected, last.prepare(before, resident)[0])
+    assert "light        discs are" in capsys.readouterr().out
 
 
 def test_two_processes_do_not_train_in_one_folder(whole, tmp_path):

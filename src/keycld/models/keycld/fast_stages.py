@@ -11,6 +11,7 @@ from keycld.mechanics import ConstrainedLagrangian
 from keycld.models.keycld.judge import judge_dynamics, judge_trained, judge_vision
 from keycld.models.keycld.losses import PredictionLoss, SmoothedLoss, TrackLoss, VisionLoss
 from keycld.models.keycld.model import AbstractKeypointModel
+from keycld.models.keycld.observe import FITTED
 from keycld.models.keycld.prepare_dynamics import cache_keypoints, fit_dynamics, identify_dynamics, share_constants
 from keycld.models.keycld.prepare_priors import measure_own_prior, measure_velocity_prior
 from keycld.models.keycld.prepare_vision import measure_part_light, measure_statistics, name_keypoints
@@ -30,15 +31,16 @@ _NAMED = 50
 _MUON = functools.partial(muon, dense=False)
 
 
-def stages(config: "FastConfig", scene: Scene) -> tuple[Stage, ...]:
+def stages(config: "FastConfig", scene: Scene, observed: int = FITTED) -> tuple[Stage, ...]:
     """Return the stages vision, dynamics, joint and prior; no horizon is longer than the trajectories.
 
     Args:
         config: settings of each stage.
         scene: sizes of the data.
+        observed: about how many recordings the last least-squares fit observes.
     """
     joint = _joint(config, scene)
-    return _vision(config), _dynamics(config, scene, joint), joint, _prior(config, joint)
+    return _vision(config), _dynamics(config, scene, joint), joint, _prior(config, joint, observed)
 
 
 def sequence(*steps: Callable) -> Callable[[Any, Resident], tuple[Any, Resident]]:
@@ -132,11 +134,11 @@ def _joint(config: "FastConfig", scene: Scene) -> Stage:
     )
 
 
-def _prior(config: "FastConfig", joint: Stage) -> Stage:
+def _prior(config: "FastConfig", joint: Stage, observed: int) -> Stage:
     ablation = config.model != "keycld"
     # Own parameters are told by exact places from the stage dynamics on.
     late = not ablation and config.discs is not False and not config.own_parameters
-    refit = functools.partial(fit_dynamics, tried=config.tried)
+    refit = functools.partial(fit_dynamics, trajectories=observed, tried=config.tried)
     measure = measure_own_prior if config.own_parameters else measure_velocity_prior
     judge = functools.partial(
         judge_trained,

@@ -1,7 +1,6 @@
 """The preset for models that plan."""
 
 import dataclasses
-import functools
 from typing import TYPE_CHECKING, ClassVar
 
 from keycld.models.config import at_least_one
@@ -36,10 +35,6 @@ class ControlConfig(FastConfig):
 
     def stages(self, scene: Scene) -> "tuple[Stage, ...]":
         """Return the stages of `fast` with the last fit of the preset."""
-        from keycld.models.keycld.fast_stages import sequence
-        from keycld.models.keycld.prepare_dynamics import fit_dynamics
-        from keycld.models.keycld.prepare_priors import measure_velocity_prior
+        from keycld.models.keycld import fast_stages
 
-        *stages, last = super().stages(scene)
-        fit = functools.partial(fit_dynamics, trajectories=self.last_fit, tried=self.tried)
-        return *stages, dataclasses.replace(last, prepare=sequence(fit, measure_velocity_prior))
+        return fast_stages.stages(self, scene, self.last_fit)
