@@ -2,8 +2,8 @@
 
 `python validation/several_devices.py [--counts 1,2,4] [--steps 20] [--out FILE.json]` simulates so many devices on this
 machine, then starts two processes that share each batch by `jax.distributed`. Ends with code 1 if a loss differs by
-more than 1e-5 of itself. All devices are the same processor cores here, so their number makes no step faster: what is
-measured is what sharing costs.
+more than 1e-5 of itself. All devices are the same processor cores here: what is measured is what sharing costs, or
+gains where one device leaves a core idle.
 """
 
 import argparse

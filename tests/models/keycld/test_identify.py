@@ -335,7 +335,7 @@ def test_forces_that_act_stay_however_clean_the_keypoints(noise):
         assert worth["springs"] > 1
 
 
-@pytest.mark.parametrize(("preset", "recordings"), [("fast", {}), ("control", {"trajectories": 225})])
+@pytest.mark.parametrize(("preset", "recordings"), [("fast", 150), ("control", 225)])
 def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatch):
     """Those that only followed errors of the first keypoints are dropped."""
     asked = []
@@ -347,4 +347,4 @@ def test_the_last_fit_judges_the_forces_once_more(preset, recordings, monkeypatc
     config = config_for("keycld", preset, constraints=Constraints(("bob",), (DistanceToPoint("bob"),)))
     data = Resident(jnp.zeros((3, 10, 16, 16, 3), jnp.uint8), jnp.zeros((3, 0)), jnp.array(0.05))
     config.stages(Scene(height=16, width=16, inputs=0, frames=10, dt=0.05, trajectories=3))[-1].prepare(None, data)
-    assert asked == [{"tried": Tried(), **recordings}]
+    assert asked == [{"tried": Tried(), "trajectories": recordings}]
