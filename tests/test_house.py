@@ -19,7 +19,7 @@ FLOORS = [
 # Modules of the package itself: what all rooms may use, and the package's own page, which stands above them.
 GROUND = (
     "_compile_cache", "_entry_points", "_errors", "_ffmpeg", "_files", "_lazy", "_lock", "_progress", "_records",
-    "_signals", "_version", "_xla_flags",
+    "_shares", "_signals", "_version", "_xla_flags",
 )  # fmt: skip
 
 
