@@ -25,8 +25,9 @@ class Devices:
     """Devices that each take an equal part of the clips of a step: data parallelism.
 
     All of them hold the parameters, the optimiser's state and the resident trajectories. A step is one program for the
-    whole batch, which XLA divides, so that terms which couple clips are those of one device, up to rounding. What
-    happens between steps (least-squares fits, cached keypoints, scores) happens on the first device of each process.
+    whole batch, which XLA divides, so that terms which couple clips are those of one device, up to rounding. Loops over
+    frames are within `keycld._shares.by_device`, so that gradients are added once a step. What happens between steps
+    (least-squares fits, cached keypoints, scores) happens on the first device of each process.
 
     Attributes:
         mesh: None: one device, and nothing is moved or divided.
