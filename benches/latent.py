@@ -1,8 +1,8 @@
 """How a training step of HGN grows, in units of a matrix product of the same run.
 
 With target frames, all of which are rendered, with the windows of a batch, the numbers of the latent vector, and the
-devices that share a batch. These are simulated on the same cores: they show what sharing costs or gains. Prints JSON, and
-with `--plot FILE` draws the growth.
+devices that share a batch. These are simulated on the same cores: they show what sharing costs or gains. Prints JSON,
+and with `--plot FILE` draws the growth.
 """
 
 import argparse
