@@ -14,7 +14,6 @@ def head(run: Run) -> str:
     result = run.motion
     assert result is not None
     scores = result.scores
-    name = html.text(run.name.capitalize())
     facts = {"frames/s": f"{1 / scores['dt']:.4g}", "seed": run.config.get("seed", "–")}
     if run.physics is not None and run.physics["mechanism"]:
         facts = {"mechanism": run.physics["mechanism"], **facts}
@@ -24,7 +23,7 @@ def head(run: Run) -> str:
         f"{scores['given']} frames of the last third, and predicts the other {scores['frames'] - scores['given']}."
     )
     movie = html.figure(clip_figures.motion_movie(run.folder, result), caption(scores), "clip")
-    top = f'<p class="eyebrow">KeyCLD · the physics of a clip</p><h1>{name}</h1>'
+    top = f'<p class="eyebrow">KeyCLD · the physics of a clip</p><h1>{html.title(run.name)}</h1>'
     return f'<header>{top}<p class="lede">{lede}</p><p class="facts">{line}</p></header>{movie}'
 
 

@@ -24,6 +24,11 @@ def text(value: Any) -> str:
     return html.escape("".join(c if c.isprintable() else " " for c in str(value)))
 
 
+def title(name: str) -> str:
+    """Return the name of a data set or a clip as the title of a page."""
+    return text(name.rpartition("/")[2].replace("_", " ").capitalize())
+
+
 def data_uri(path: Path) -> str:
     """Return the contents of a file as a data address, so that the page needs no other file."""
     return f"data:{_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode()}"

@@ -28,7 +28,6 @@ def vpt_sentence(metric: str) -> str:
 def head(run: Run, sections: str) -> str:
     """Show the title, a summary in one sentence, the headline score next to its baselines, and the first movie."""
     config = run.config
-    system = run.name
     facts = [
         ("model", MODEL_TITLES.get(str(config.get("model")), config.get("model", "–"))),
         ("preset", config.get("preset", "–")),
@@ -37,8 +36,7 @@ def head(run: Run, sections: str) -> str:
     if run.metrics and "seconds" in run.metrics[-1]:
         facts.append(("training", _duration(run.metrics[-1]["seconds"])))
     line = "".join(f"<span>{html.text(name)} <b>{html.text(value)}</b></span>" for name, value in facts)
-    name = system.rpartition("/")[2].replace("_", " ").capitalize()
-    top = f'<p class="eyebrow">KeyCLD · what one run learned</p><h1>{html.text(name)}</h1>'
+    top = f'<p class="eyebrow">KeyCLD · what one run learned</p><h1>{html.title(run.name)}</h1>'
     result = run.headline
     if run.failed:
         return f'<header>{top}<p class="facts">{line}</p></header>'
@@ -49,7 +47,7 @@ def head(run: Run, sections: str) -> str:
     protocol = result.scores["protocol"]
     found = " and found keypoints, their masses and an energy" if "masses" in result.scores else ""
     lede = (
-        f"The model has watched recordings of the {html.text(system)}{found}. "
+        f"The model has watched recordings of the {html.text(run.name)}{found}. "
         f"Here it is given the {_end(result)} {_word(protocol['given'])} frames of {result.scores['n']} "
         f"{_split(protocol['split'])} and predicts the {protocol['horizon'] - protocol['given']} "
         f"{'before' if _end(result) == 'last' else 'after'} them."
