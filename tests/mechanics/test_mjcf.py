@@ -76,6 +76,25 @@ def test_a_length_in_metres_keeps_the_period():
     np.testing.assert_allclose(simulated(chosen, x, [0.7], metres=0.5), moved(chosen, x), atol=3e-3)
 
 
+def with_friction(chosen, strength):
+    """The law with its one friction term of this strength."""
+    return eqx.tree_at(lambda law: law.dissipation, chosen, jax.tree.map(lambda b: b + strength, chosen.dissipation))
+
+
+@pytest.mark.parametrize(("kind", "strength"), [("viscous", 0.4), ("joints", 0.2), ("coulomb", 0.5)])
+def test_a_length_in_metres_keeps_the_friction_of_a_pendulum(kind, strength):
+    """R grows as the energies do, with the square of the length, so the same picture shows the same motion."""
+    chosen = law([[2.0]], (DistanceToPoint("ball"),), ("ball",), [0.0, 24.0], kinds=(kind,))
+    chosen, x = with_friction(chosen, strength), 0.6 * on_circle([0.7])
+    np.testing.assert_allclose(simulated(chosen, x, [0.7], metres=0.3), moved(chosen, x), atol=6e-3)
+
+
+def test_a_length_in_metres_keeps_the_dry_friction_of_a_cart():
+    chosen = law([[2.0]], (OnLine("cart"),), ("cart",), [0.0, 0.0], springs=[[30.0]], kinds=("coulomb",))
+    chosen, x = with_friction(chosen, 0.5), jnp.array([0.4, 0.1])
+    np.testing.assert_allclose(simulated(chosen, x, [0.4 * 0.3], metres=0.3), moved(chosen, x), atol=6e-3)
+
+
 def test_a_double_pendulum_with_links_of_spread_mass():
     """A mass matrix with coupling, and the weights that gravity of 10 gives these rigid bodies."""
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))

@@ -109,7 +109,7 @@ def to_mjcf(law: ConstrainedLagrangian, constants: Float[np.ndarray, "n"], *, me
     world = ElementTree.SubElement(root, "worldbody")
     tendons, sensors = ElementTree.Element("tendon"), ElementTree.Element("sensor")
     _springs(law, parts, unit, metres)
-    _friction(law, parts, joints, unit, _Elements(world, tendons, set(constraint.keypoints)))
+    _friction(law, parts, joints, unit, metres, _Elements(world, tendons, set(constraint.keypoints)))
     bodies: dict[int, ElementTree.Element] = {}
     for k, (part, joint) in enumerate(zip(parts, joints, strict=True)):
         parent = world if joint.parent is None else bodies[joint.parent]
@@ -254,9 +254,14 @@ def _friction(
     parts: list[_Part],
     joints: tuple[Joint, ...],
     unit: float,
+    metres: float,
     elements: _Elements,
 ) -> None:
-    """Put friction on joints, and on tendons where it acts on absolute motion."""
+    """Put friction on joints, and on tendons where it acts on absolute motion.
+
+    In metres R is metres² times as large, as the energies are. So b of hinges is metres² times as large, and the force
+    of dry friction metres times.
+    """
     terms = terms_of(law)
     chains = [_chain(joints, k) for k in range(len(joints))]
     viscous = terms.get("viscous")
@@ -270,7 +275,8 @@ def _friction(
         assert isinstance(law.constraint_function, Constraints)
         hinged = hinged_links(law.constraint_function)
         links = [k for k, item in enumerate(law.constraint_function.items) if any(item is link for link in hinged)]
-        for strength, row in zip(np.asarray(hinges.strength, float) / unit, hinges.hinges, strict=True):
+        strengths = np.asarray(hinges.strength, float) / unit * metres**2
+        for strength, row in zip(strengths, hinges.hinges, strict=True):
             combined = np.zeros(len(joints))
             for k, share in zip(links, row, strict=True):
                 combined[chains[k]] += share
@@ -281,7 +287,7 @@ def _friction(
             raise KeycldError(
                 "dry friction can be exported to MuJoCo for a single part only: export the keypoints with --to csv."
             )
-        parts[0].loss = float(np.asarray(dry.strength)[0]) / unit * (parts[0].length or 1.0)
+        parts[0].loss = float(np.asarray(dry.strength)[0]) / unit * metres * (parts[0].length or 1.0)
     if any(part.damping < 0 or part.loss < 0 for part in parts):
         raise KeycldError(_GIVES)
 
