@@ -8,6 +8,7 @@ from mechanics_examples import cartpole, law
 
 from keycld import KeycldError
 from keycld.mechanics import (
+    AdaptiveDynamics,
     Constraints,
     CoupledMasses,
     DistanceToPoint,
@@ -23,6 +24,7 @@ from keycld.mechanics import (
     SumPotential,
     ViscousFriction,
     fit_motions,
+    joining_velocity,
     own_law,
     own_parameters,
     rough_places,
@@ -95,6 +97,32 @@ def test_a_rollout_takes_the_own_parameters_from_the_state():
     state = State(Motion(jnp.array([0.2, 0.5]), jnp.zeros(2)), {"constants": jnp.zeros(1), **own})
     y = dynamics.rollout(state, NONE, DT, 60).x[:, 1]
     np.testing.assert_allclose(y, 0.1 + 0.4 * np.cos(np.sqrt(2 / 4) * 0.05 * np.arange(61)), atol=1e-3)
+
+
+@pytest.fixture(scope="module")
+def swing():
+    """A law, and the state of a pendulum with its own pivot and a tenfold gravity."""
+    weight = SumPotential(jnp.array([0.0, 1.0]), {})
+    common = law((1.0,), Constraints(("ball",), (DistanceToPoint("ball"),)), potential=weight)
+    own = own_parameters(jnp.array([0.6, 0.3, jnp.log(0.1), 0.0]))
+    x, v = jnp.array([1.0, 0.0]), jnp.array([0.6, 0.8])
+    return common, State(Motion(x, v), {"constants": own_law(common, own).constraint(x), **own})
+
+
+def test_an_adaptive_rollout_takes_the_own_parameters_from_the_state_too(swing):
+    common, state = swing
+    fixed = MechanicalDynamics(common, Rattle(substeps=8)).rollout(state, NONE, DT, 20)
+    for pull_back in (True, False):
+        adaptive = AdaptiveDynamics(common, pull_back=pull_back).rollout(state, NONE, DT, 20)
+        np.testing.assert_allclose(adaptive.x, fixed.x, atol=2e-3)
+
+
+def test_the_velocity_that_joins_two_frames_turns_around_the_own_pivot(swing):
+    """It is the one with which the second frame was reached."""
+    common, state = swing
+    dynamics, (x, v) = MechanicalDynamics(common, Rattle(substeps=4)), state.coordinates
+    reached = dynamics.step(state, NONE, DT).coordinates.x
+    np.testing.assert_allclose(joining_velocity(dynamics, x, reached, state.parameters, NONE, DT), v, atol=1e-4)
 
 
 def test_without_a_place_in_the_state_the_law_is_the_same_object():

@@ -10,6 +10,7 @@ from jaxtyping import Array, Float, PyTree
 from keycld.mechanics.dynamics import AbstractMechanicalDynamics
 from keycld.mechanics.integrators import AbstractIntegrator, Parameters, frame_inputs, stack_first
 from keycld.mechanics.lagrangian import AbstractLaw, ConstrainedLagrangian
+from keycld.mechanics.own_parameters import own_law
 from keycld.mechanics.state import AbstractField, Motion, Scalar, State
 
 
@@ -137,4 +138,5 @@ class AdaptiveDynamics(AbstractMechanicalDynamics):
 
     def rollout(self, state: State, u: Float[Array, "l"] | Float[Array, "steps l"], dt: Scalar, steps: int) -> Motion:
         """Return the motion at `steps` + 1 frames; see `adaptive_rollout`."""
-        return adaptive_rollout(self.law, state, u, dt, steps, self.rtol, self.atol, self.pull_back)
+        law = own_law(self.law, state.parameters)
+        return adaptive_rollout(law, state, u, dt, steps, self.rtol, self.atol, self.pull_back)

@@ -89,7 +89,7 @@ def joining_velocity(
     Raises:
         KeycldError: for another kind of law.
     """
-    law = dynamics.law
+    law = own_law(dynamics.law, parameters)
     if not isinstance(law, ConstrainedLagrangian):
         raise KeycldError(f"two frames are joined through a ConstrainedLagrangian, not a {type(law).__name__}.")
 

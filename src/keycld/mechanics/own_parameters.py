@@ -48,7 +48,8 @@ def own_law(law: Any, parameters: dict[str, Any] | None) -> Any:
         L = ½ vᵀ M_μ v − V(x − p),   M_μ = √μ M √μ,   Φ(x − p),   φ R(x − p, v),   g(x − p)
 
     (M, V, g, R) is known up to one factor, so μ of a single keypoint stands for the strength of V too: a stiffness over
-    a mass, or gravity.
+    a mass, or gravity. What is heavier also weighs more: the weights w of a `SumPotential` are μ_k w_k / μ_1 here, so
+    that a ratio of masses changes no gravity.
 
     Args:
         law: a `ConstrainedLagrangian`; other laws have no own parameters.
