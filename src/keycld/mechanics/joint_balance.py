@@ -214,10 +214,12 @@ def predict_joints(
         arguments = (jnp.asarray(fitted.theta), jnp.asarray(np.stack([first, rate])), jnp.asarray(torque))
         path, slopes = _differentiated(joints, lengths, arguments, dt)
     by_theta, by_start, by_torque = (np.asarray(slope) for slope in slopes)
-    spread = np.sqrt(np.sum(inverse[:2] ** 2, axis=1))[:, None] * fitted.rate_noise[None]
+    # At the end of a cubic, errors of position and velocity are correlated: a position too high has too low a velocity.
+    of_start = inverse[:2] @ inverse[:2].T
     with np.errstate(over="ignore", invalid="ignore"):
         variance = np.einsum("tdi,ij,tdj->td", by_theta, fitted.covariance, by_theta)
-        variance += np.sum((by_start * spread) ** 2, axis=(2, 3)) + np.sum((by_torque * fitted.noise) ** 2, axis=(2, 3))
+        variance += np.einsum("tdai,ab,tdbi,i->td", by_start, of_start, by_start, fitted.rate_noise**2)
+        variance += np.sum((by_torque * fitted.noise) ** 2, axis=(2, 3))
     if not np.all(np.isfinite(variance)):
         raise KeycldError("the predicted motion diverges, so the law is not that of the rig: move all joints more.")
     return JointPrediction(np.asarray(path), np.sqrt(variance))
