@@ -121,6 +121,27 @@ def test_a_spring_cart_has_the_period_of_its_spring():
     assert "gravity_direction" not in found
 
 
+def test_error_bars_of_a_ball_on_a_spring_in_the_plane():
+    """Both of its modes have one frequency: ζ = c/(2√(k m)) and a deceleration d/m all the same, with derivatives."""
+    start = np.array([[0.4, 0.1]])
+    with jax.enable_x64(True):
+        numbers = jnp.array([2.0, 8.0, 0.4, 0.1])
+
+        def of(numbers):
+            mass, stiffness, viscous, dry = numbers
+            springs = {"springs": Springs(stiffness.reshape(1, 1))}
+            friction = {"viscous": ViscousFriction(viscous.reshape(1, 1)), "coulomb": CoulombFriction(dry.reshape(1))}
+            masses, potential = PointMasses(jnp.sqrt(mass).reshape(1)), SumPotential(jnp.zeros(2), springs)
+            return ConstrainedLagrangian(masses, potential, None, Constraints(["ball"]), SumDissipation(friction))
+
+        pose = rest_pose(of(numbers), jnp.zeros(0), start)
+        slopes = jax.jacfwd(lambda numbers: physical_constants(of(numbers), jnp.zeros(0), pose))(numbers)
+    for k in (1, 2):
+        # ζ = 0.4 / (2 √16), and its change with m, k and c.
+        np.testing.assert_allclose(slopes[f"damping_ratio_{k}"], [-0.0125, -0.003125, 0.125, 0.0], atol=1e-9)
+        np.testing.assert_allclose(slopes[f"coulomb_deceleration_{k}"], [-0.025, 0.0, 0.0, 0.5], atol=1e-9)
+
+
 def test_nothing_depends_on_the_common_factor():
     items = (DistanceToPoint("elbow"), FixedDistance("elbow", "tip"))
     weight, friction = np.array([0, 2 * GRAVITY, 0, GRAVITY]), np.array([[0.2, 0.0], [0.05, 0.1]])

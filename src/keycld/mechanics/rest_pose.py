@@ -16,6 +16,8 @@ from keycld.mechanics.lagrangian import ConstrainedLagrangian
 _DESCENT, _STILL = 5000, 1e-6
 # ω² below this share of the largest counts as zero: along that direction any pose is as good.
 _FREE = 1e-6
+# ω² that differ by less than this share of the largest are equal.
+_EQUAL = 1e-9
 
 
 class RestPose(NamedTuple):
@@ -77,7 +79,7 @@ def oscillations(law: ConstrainedLagrangian, constants: Float[Array, "n"], pose:
         pose: of `rest_pose` for these parameters.
     """
     stiffness, mass, friction = _reduced(law, constants, pose)
-    squares, modes = jnp.linalg.eigh(_whitened(stiffness, mass))
+    squares, modes = _modes(_whitened(stiffness, mass))
     rates = jnp.sqrt(squares[pose.free :])
     damping = jnp.diagonal(modes.T @ _whitened(friction, mass) @ modes)[pose.free :]
     return Oscillations(2 * jnp.pi / rates, damping / (2 * rates))
@@ -101,7 +103,7 @@ def coulomb_decelerations(
     deceleration of this keypoint. For a single part it is c/m.
     """
     stiffness, mass, _ = _reduced(law, constants, pose)
-    _, modes = jnp.linalg.eigh(_whitened(stiffness, mass))
+    _, modes = _modes(_whitened(stiffness, mass))
     y = jnp.asarray(pose.basis) @ jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(mass).T, modes, lower=False)
     moved = jnp.sqrt(jnp.sum(y.reshape(-1, 2, y.shape[1]) ** 2, axis=1) + 1e-30)
     # yᵀ M y is 1 before y is scaled by its largest |yᵢ|.
@@ -140,6 +142,22 @@ def _viscous(law: ConstrainedLagrangian, x: Array, v: Array) -> Array:
     """Return the part of R whose forces are in proportion to the velocity."""
     terms = law.dissipation.terms.values() if isinstance(law.dissipation, SumDissipation) else ()
     return sum((term(x, v) for term in terms if term.viscous), jnp.zeros(()))
+
+
+def _modes(matrix: Float[Array, "m m"]) -> tuple[Float[Array, "m"], Float[Array, "m m"]]:
+    """Return the eigenvalues ω² of a symmetric matrix A and its eigenvectors y, with first derivatives.
+
+        d(ω_k²) = y_kᵀ dA y_k,    dy_k = Σ_j y_j (y_jᵀ dA y_k) / (ω_k² − ω_j²)
+
+    Modes of one frequency, such as both of a ball on a spring that moves in the plane, stay as they are: each
+    combination of them is as good, and the derivative of `eigh` divides by zero.
+    """
+    squares, modes = jnp.linalg.eigh(jax.lax.stop_gradient(matrix))
+    turned = modes.T @ matrix @ modes
+    gaps = squares[None, :] - squares[:, None]
+    apart = jnp.abs(gaps) > _EQUAL * jnp.max(jnp.abs(squares))
+    mixed = jnp.where(apart, turned / jnp.where(apart, gaps, 1.0), 0.0)
+    return jnp.diagonal(turned), modes + modes @ (mixed - jax.lax.stop_gradient(mixed))
 
 
 def _whitened(matrix: Float[Array, "m m"], mass: Float[Array, "m m"]) -> Float[Array, "m m"]:
