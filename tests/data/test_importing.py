@@ -77,6 +77,16 @@ def test_several_videos(video, tmp_path):
     assert sum(len(read(out / f"{name}.h5")) for name in ("train", "validation", "test")) == 8
 
 
+def test_the_names_of_many_videos_fit_into_the_file(video, tmp_path):
+    """Phones give names of thirty letters, and the format's texts have a thousand at most."""
+    several = [tmp_path / f"{'VID_20260101_120000' * 12}_{k}.mp4" for k in range(5)]
+    for path in several:
+        shutil.copy(video, path)
+    out = import_video(several, tmp_path / "a", size=16, frames=60)
+    made = open_data(out).attributes["generator"]
+    assert check(out) == [] and "import of 5 videos, VID_20260101" in made and len(made) < 1000
+
+
 def test_videos_of_different_sizes_are_not_of_one_camera(video, tmp_path):
     save_movie(tmp_path / "wide.mp4", np.zeros((40, 64, 128, 3), np.uint8), fps=25.0, scale=1)
     with pytest.raises(KeycldError, match="wide.mp4 has 128 x 64 pixels, .* 96 x 64: give videos from the same camera"):

@@ -27,6 +27,8 @@ from keycld.data.imports.claim import claim, refuse_used
 from keycld.systems import names
 
 SPLITS: tuple[str, ...] = ("train", "validation", "test")
+# Letters of the names of videos in an attribute, which may have a thousand.
+_LONGEST_NAMES = 500
 
 
 def import_video(
@@ -111,11 +113,14 @@ def constraints_text(constraints: str | Path) -> str:
 
 def origin(sources: Sequence[Path], rate: float) -> dict[str, Any]:
     """Return the attributes of imported recordings with so many frames a second."""
+    names = ", ".join(source.name for source in sources)
+    if len(names) > _LONGEST_NAMES:
+        names = f"{len(sources)} videos, {names[:_LONGEST_NAMES]}…"
     return {
         "dt": 1.0 / rate,
         "seed": 0,
         "input_names": (),
-        "generator": f"keycld {__version__}, import of {', '.join(source.name for source in sources)}",
+        "generator": f"keycld {__version__}, import of {names}",
         "protocol": "import",
     }
 
