@@ -47,6 +47,18 @@ def test_nearest_configuration_is_found_across_the_cut_of_the_angle():
     assert nearest(embed(np.array([[-3.1], [-1.6]]), ANGLE), points).tolist() == [0, 2]
 
 
+@pytest.mark.parametrize("units", ["rad", ["rad"]])
+def test_a_state_of_one_number_gives_no_parabola(units, tmp_path):
+    """An angle alone, as some record it: it has no rate, so its first half is no position."""
+    for k, name in enumerate(("train", "validation", "test")):
+        made = scenes.disc_pendulum(2, 6, seed=k)
+        named = {**made.attributes, "state_names": "angle", "units": units}
+        write(tmp_path / f"{name}.h5", dataclasses.replace(made, state=made.state[..., :1], attributes=named))
+    data = DataSet(tmp_path, None)
+    errors = errors_of(data.test(), dataclasses.replace(FORWARD, horizon=6), references(data))
+    assert set(errors) == {"mean image", "frozen frame"}
+
+
 def test_baselines_know_what_they_should(data):
     shared = references(data)
     errors = errors_of(data.test(), FORWARD, shared)

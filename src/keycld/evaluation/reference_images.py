@@ -28,7 +28,7 @@ class References:
         epsilon: ε, from the validation set.
         mean_image: of the training set, `[H, W, 3]` in [0, 1].
         images: training frames `[M, H, W, 3]`, to be retrieved by configuration.
-        states: their true states `[M, d]`; None where the data has none.
+        states: their true states `[M, d]`; None where the data has none, or one number a frame without its rate.
         angles: which positions are angles; None likewise.
         sources: what they were computed from: numbers of trajectories and frames, for the result.
     """
@@ -83,7 +83,8 @@ def references(data: "DataSet") -> References:
     """
     threshold, train, counted = validation_epsilon(data), PixelMoments(), data.count("validation")
     about = data.split("train", images=False, rows=slice(0, 1))
-    known = about.state is not None and "units" in about.attributes
+    # A state of one number has no rate, so no half of it is a position.
+    known = about.state is not None and about.state.shape[-1] > 1 and "units" in about.attributes
     count = data.count("train")
     chosen = evenly(count, _MOST_TRAJECTORIES)
     used = len(range(*chosen.indices(count)))
