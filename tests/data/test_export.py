@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from keycld._errors import KeycldError
+from keycld.data.export import lerobot
 from keycld.data.export.lerobot import write_lerobot
 from keycld.data.export.tracks import KeypointTracks, write_csv, write_time_series
 
@@ -77,3 +78,19 @@ def test_a_folder_with_other_files_gets_no_lerobot_data_set(tracks, tmp_path):
     with pytest.raises(KeycldError, match="holds other files, and stays as it is: choose another --out"):
         write_lerobot(tmp_path, tracks, "a double pendulum swings")
     assert [path.name for path in tmp_path.iterdir()] == ["train.h5"]
+
+
+def test_an_interrupted_lerobot_export_is_made_by_the_same_call(tracks, tmp_path, monkeypatch):
+    pytest.importorskip("pyarrow")
+
+    def ended(path, text):
+        hidden = path.with_name(f".{path.name}.1234567@elsewhere.partial")
+        hidden.mkdir()
+        (hidden / path.name).write_text(text[:10])
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(lerobot, "write_text", ended)
+        write_lerobot(tmp_path / "out", tracks, "a double pendulum swings")
+    write_lerobot(tmp_path / "out", tracks, "a double pendulum swings")
+    assert json.loads((tmp_path / "out" / "meta" / "info.json").read_text())["total_frames"] == 60

@@ -12,6 +12,8 @@ from keycld._records import read_json
 from keycld.data.export.tracks import KeypointTracks
 
 _PARQUET = "chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+_DATA, _EPISODES = (f"{name}/{_PARQUET.format(chunk_index=0, file_index=0)}" for name in ("data", "meta/episodes"))
+_TASKS, _STATISTICS, _INFO = "meta/tasks.parquet", "meta/stats.json", "meta/info.json"
 _PLACES = ("data/chunk_index", "data/file_index", "meta/episodes/chunk_index", "meta/episodes/file_index")
 _INDICES = ("frame_index", "episode_index", "index", "task_index")
 
@@ -49,8 +51,8 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
     columns |= dict(zip(_INDICES, (frame, episode, np.arange(count * length), np.zeros_like(frame)), strict=True))
     info = _info(columns, names, count, length, round(fps))
     _refuse_other(folder, info["features"])
-    _write(arrow, folder / "data" / _PARQUET.format(chunk_index=0, file_index=0), _table(arrow, columns))
-    _write(arrow, folder / "meta" / "tasks.parquet", _tasks(arrow, task))
+    _write(arrow, folder / _DATA, _table(arrow, columns))
+    _write(arrow, folder / _TASKS, _tasks(arrow, task))
     episodes = {
         "episode_index": np.arange(count),
         "tasks": [[task]] * count,
@@ -62,19 +64,28 @@ def write_lerobot(folder: Path, tracks: KeypointTracks, task: str) -> None:
     for name, values in columns.items():
         parts = [_statistics(part) for part in np.split(values, count)]
         episodes |= {f"stats/{name}/{key}": [part[key] for part in parts] for key in parts[0]}
-    _write(arrow, folder / "meta" / "episodes" / _PARQUET.format(chunk_index=0, file_index=0), arrow.table(episodes))
+    _write(arrow, folder / _EPISODES, arrow.table(episodes))
     statistics = {name: _statistics(values) for name, values in columns.items()}
-    write_text(folder / "meta" / "stats.json", json.dumps(statistics, indent=1) + "\n")
-    write_text(folder / "meta" / "info.json", json.dumps(info, indent=1) + "\n")
+    write_text(folder / _STATISTICS, json.dumps(statistics, indent=1) + "\n")
+    # Last: a folder without it is that of an export that was interrupted.
+    write_text(folder / _INFO, json.dumps(info, indent=1) + "\n")
 
 
 def _refuse_other(folder: Path, features: dict[str, Any]) -> None:
     """Refuse a folder with other files or a data set of other features: they would be mixed with these."""
-    path = folder / "meta" / "info.json"
-    if folder.is_dir() and any(folder.iterdir()) and not path.exists():
+    path = folder / _INFO
+    if not path.exists() and _foreign(folder):
         raise KeycldError(f"{folder} holds other files, and stays as it is: choose another --out.")
     if path.exists() and read_json(path, dict[str, Any], f"delete {folder}").get("features") != features:
         raise KeycldError(f"{folder} holds another LeRobot data set, and stays as it is: choose another --out.")
+
+
+def _foreign(folder: Path) -> bool:
+    """Return whether a folder holds anything that an interrupted export has not left there."""
+    left = {folder / name for name in (_DATA, _EPISODES, _TASKS, _STATISTICS)}
+    left |= {above for path in left for above in path.parents}
+    hidden = {path for path in folder.rglob(".*.partial") if path.parent in left}
+    return any(path not in left and hidden.isdisjoint((path, *path.parents)) for path in folder.rglob("*"))
 
 
 def _info(
