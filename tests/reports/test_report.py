@@ -9,8 +9,10 @@ import pytest
 from browser import look
 
 from keycld import KeycldError
+from keycld.drawing import save_figure
 from keycld.evaluation import Evaluation, Protocol, evaluate, load_evaluation, save_evaluation
 from keycld.reports import write_report
+from keycld.reports.figures import error_figure
 from keycld.reports.movies import sheet_step
 from keycld.reports.run import read_run
 from swing import Swing
@@ -180,3 +182,12 @@ def test_what_is_no_run_folder_is_refused(tmp_path):
 def test_a_sheet_says_how_many_frames_lie_between_its_pictures(length, stride, step):
     """Of long predictions every second frame is stored; of few frames there is one picture."""
     assert sheet_step(np.arange(0, length, stride)) == step
+
+
+@pytest.mark.parametrize("threshold", [0.0, -1e-19])
+def test_errors_are_plotted_where_nothing_moves_in_the_validation_recordings(run, tmp_path, threshold):
+    """ε is then zero up to rounding, which a logarithmic axis does not have."""
+    result = load_evaluation(run, "test@14")
+    still = Evaluation({**result.scores, "epsilon": threshold, "threshold": threshold}, result.arrays)
+    save_figure(tmp_path / "error.png", error_figure(still))
+    assert (tmp_path / "error.png").exists()

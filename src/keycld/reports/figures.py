@@ -39,10 +39,12 @@ def error_figure(result: Evaluation) -> "Figure":
         curves.append(Curve(frames, baseline.mean(axis=0), name, colour, dashed=True))
     metric = result.scores["metric"]
     limit = Limit(result.scores["threshold"], threshold_text(metric, next(iter(result.scores["vpt"]))))
-    figure = curves_figure(curves, "frame", METRICS[metric], limits=[limit], logarithmic=True)
+    # ε is zero where nothing moves in the validation recordings; a logarithmic axis has no such place.
+    limits = [limit] if limit.value > 0 else []
+    figure = curves_figure(curves, "frame", METRICS[metric], limits=limits, logarithmic=True)
     # Given frames of a baseline may be exact; a logarithmic axis should not extend to them.
-    floor = 0.3 * float(np.min(mean[mean > 0], initial=limit.value))
-    figure.axes[0].set_ylim(bottom=floor)
+    if positive := [value for value in (*mean, limit.value) if value > 0]:
+        figure.axes[0].set_ylim(bottom=0.3 * float(min(positive)))
     return figure
 
 
