@@ -6,6 +6,7 @@ import re
 import shutil
 
 import equinox as eqx
+import h5py
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -32,7 +33,7 @@ from keycld.training.checkpoints import (
     save_checkpoint,
 )
 from keycld.training.run_files import read_config
-from scenes import TINY
+from scenes import TINY, write_data
 
 CONFIG = config_for("keycld", "fast", **TINY)
 
@@ -88,6 +89,28 @@ def test_resume_within_and_after_a_stage_is_bit_exact(whole, monkeypatch, done, 
     expected = load_arrays(root / "whole" / "checkpoints" / last / WEIGHTS, resumed)
     assert_same(expected, resumed)
     assert steps(run) == logged
+
+
+def test_a_stage_on_training_and_validation_takes_all_steps_and_is_resumed_on_both(tmp_path, monkeypatch):
+    stages = FastConfig.stages
+    monkeypatch.setattr(
+        FastConfig, "stages", lambda *given: (dataclasses.replace(stages(*given)[0], with_validation=True),)
+    )
+    data = write_data(tmp_path / "mine")
+    for name in ("train", "validation", "test"):
+        with h5py.File(data / f"{name}.h5", "r+") as file:
+            file.attrs["protocol"] = "clip"
+    taken, make_step = [], loop.make_step
+
+    def watched(*given, **named):
+        run = make_step(*given, **named)
+        return lambda fixed, progress: (taken.append(fixed[1].shape), run(fixed, progress))[1]
+
+    monkeypatch.setattr(loop, "make_step", watched)
+    expected = train(data, tmp_path / "whole", CONFIG, checkpoint_seconds=0.0, log_every=2, keep=100)
+    assert set(taken) == {(6, 24, 16, 16, 3)}
+    assert_same(expected, train(data, cut(tmp_path, 0, False), CONFIG, log_every=2))
+    assert set(taken) == {(6, 24, 16, 16, 3)}
 
 
 def test_resume_at_a_fit_between_steps_is_bit_exact(whole):

@@ -175,7 +175,7 @@ class _Trainer:
         self.failures = position.get("failures", [])
         blank = training.blank(position.get("changes", {}))
         self.model = load_arrays(checkpoint / WEIGHTS, blank, training.renamed, training.added)
-        data = training.source.at(training.before[self.number])
+        data = self._resident(training.stages[self.number])
         if position["cached"]:
             data = _with_cached(data, jax.ShapeDtypeStruct((*data.image.shape[:2], position["cached"]), np.float32))
         started = None if position["done"] else initial_progress(training.stages[self.number], self.model)
@@ -241,7 +241,7 @@ class _Trainer:
         pending: list[dict[str, Any]] = []
         while done < stage.steps:
             chunk = min(STEPS_PER_DISPATCH, stage.steps - done, log_every - done % log_every)
-            if not pinned:
+            if not (pinned or stage.with_validation):
                 self.data = _moved(self.data, training.source.at(first + done))
                 end = training.source.until(first + done)
                 chunk = chunk if end is None else min(chunk, end - first - done)
@@ -289,11 +289,7 @@ class _Trainer:
     def _begin(self, stage: Stage, drawn: int, compiled: Callable[[int], Run], per_step: int) -> tuple[Progress, Any]:
         """Return the progress at the first step, or after the trials of several initial weights, and the rest."""
         training = self.training
-        self.data = (
-            training.everything()
-            if stage.with_validation
-            else _moved(self.data, training.source.at(training.before[self.number]))
-        )
+        self.data = _moved(self.data, self._resident(stage))
         models = [self.model, *(training.fresh(self._again + k) for k in range(1, stage.candidates))]
         alternative = compiled
         if stage.alternative is not None:
@@ -301,6 +297,11 @@ class _Trainer:
         current, rest, self.data = _best(stage, models, self.data, (compiled, alternative), training)
         self.clock.frames += per_step * int(current.step) * len(models)
         return current, rest
+
+    def _resident(self, stage: Stage) -> Resident:
+        """Return the data at the first step of the present stage."""
+        training = self.training
+        return training.everything() if stage.with_validation else training.source.at(training.before[self.number])
 
     def _restart(self, failure: str) -> None:
         """Begin again with other weights, or end the training after the last attempt."""
