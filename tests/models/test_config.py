@@ -46,6 +46,13 @@ def test_a_name_belongs_to_one_family():
         register_model("keycld", family="mine", title="another one")
 
 
+def test_a_flag_without_a_value_is_refused():
+    """The command line sets fields without `changed`."""
+    config = config_for("keycld", "fast")
+    with pytest.raises(KeycldError, match=r"joint.horizons is one value or more, such as \(8, 16.*\), not none"):
+        dataclasses.replace(config, joint=dataclasses.replace(config.joint, horizons=()))
+
+
 def test_unknown_models_and_presets_are_refused_with_the_nearest_name():
     with pytest.raises(KeycldError, match="unknown preset 'fsat' of model 'keycld': did you mean 'fast'"):
         config_for("keycld", "fsat")

@@ -181,6 +181,8 @@ def _check_numbers(config: Any, prefix: str) -> None:
         if dataclasses.is_dataclass(value) and not isinstance(value, type):
             _check_numbers(value, f"{prefix}{field.name}.")
             continue
+        if value == () and isinstance(field.default, tuple) and field.default:
+            raise KeycldError(f"setting {prefix}{field.name} is one value or more, such as {field.default}, not none.")
         for part in value if isinstance(value, tuple) else (value,):
             if not isinstance(part, (int, float)):
                 continue
