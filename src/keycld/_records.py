@@ -145,10 +145,12 @@ def read_json(path: Path, kind: type[T] | Any, fix: str) -> Any:
 
     Raises:
         FileNotFoundError: there is none.
-        KeycldError: it is damaged or holds something else.
+        KeycldError: it is damaged or holds something else; or as `read_bytes`.
     """
+    # Not below: a file that may not be read is not damaged, and must not be deleted.
+    contents = read_bytes(path)
     try:
-        return checked(json.loads(read_text(path)), kind)
+        return checked(json.loads(contents), kind)
     except (ValueError, RecursionError) as error:
         raise damaged(path, error, fix) from error
 

@@ -11,6 +11,7 @@ from sample import assert_equal, sample
 
 from keycld import KeycldError
 from keycld.data import read, write
+from keycld.data.format.folder import read_statistics
 from keycld.data.format.writing import join
 
 
@@ -117,3 +118,17 @@ def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, error
     with pytest.raises(KeycldError, match="the disk is full"):
         write(tmp_path / "a.h5", sample())
     assert os.listdir(tmp_path) == []
+
+
+def test_a_file_that_may_not_be_read_is_not_called_damaged(tmp_path, monkeypatch):
+    """Its fix would be to delete it."""
+    (tmp_path / "statistics.json").write_text("{}")
+
+    def refused(*given):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    with monkeypatch.context() as patched, pytest.raises(KeycldError, match="^cannot read .*: check the path and its"):
+        patched.setattr(os, "open", refused)
+        read_statistics(tmp_path)
+    with pytest.raises(KeycldError, match="statistics.json is damaged .*'splits' is missing.*: delete it"):
+        read_statistics(tmp_path)
