@@ -10,9 +10,10 @@ import pytest
 from sample import assert_equal, sample
 
 from keycld import KeycldError
-from keycld.data import read, write
+from keycld.data import open_file, read, write
 from keycld.data.format.folder import read_statistics
 from keycld.data.format.writing import join
+from scenes import disc_pendulum
 
 
 @pytest.mark.parametrize("varying_input", [False, True])
@@ -132,3 +133,9 @@ def test_a_file_that_may_not_be_read_is_not_called_damaged(tmp_path, monkeypatch
         read_statistics(tmp_path)
     with pytest.raises(KeycldError, match="statistics.json is damaged .*'splits' is missing.*: delete it"):
         read_statistics(tmp_path)
+
+
+def test_without_memory_a_file_is_not_called_damaged(tmp_path):
+    write(tmp_path / "a.h5", disc_pendulum(1, 3, seed=0))
+    with pytest.raises(MemoryError), open_file(tmp_path / "a.h5"):
+        raise MemoryError

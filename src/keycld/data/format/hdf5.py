@@ -46,7 +46,7 @@ def open_file(path: str | Path) -> Iterator[Any]:
         with file:
             _refuse_outside(file, path)
             yield file
-    except KeycldError:
+    except (KeycldError, MemoryError):
         raise
     except Exception as error:
         raise KeycldError(
