@@ -13,7 +13,7 @@ from pendulum_model import PendulumModel, picture
 from true_physics import truth
 
 from keycld import KeycldError
-from keycld.cli.control import summary_of
+from keycld.cli.control import _name, summary_of
 from keycld.cli.main import main
 from keycld.control import (
     Agent,
@@ -298,3 +298,12 @@ def test_the_summary_is_a_few_lines(result):
     assert lines[0] == "shaping: 2 of 2 trials keep the goal during the last second"
     assert "of 300 missed" in lines[2]
     assert "T + V_d falls in" in lines[3]
+
+
+def test_a_picture_named_upright_is_another_goal_than_the_upright_pose():
+    """Its result would replace the other one."""
+    settings = ControlConfig()
+    assert _name("poses/upright.png", settings) == "control-picture-upright-shaping"
+    assert [_name(goal, settings) for goal in ("upright", "poses/left.png")] == [
+        "control-upright-shaping", "control-left-shaping",
+    ]  # fmt: skip

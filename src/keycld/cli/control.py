@@ -148,7 +148,9 @@ def _name(goal: str, config: Any) -> str:
 
     Trials and seed are no part of the name.
     """
-    words = ["control", "upright" if goal == "upright" else Path(goal).stem, config.law.name]
+    picture = Path(goal).stem
+    # A picture of that name is another goal.
+    words = ["control", f"picture-{picture}" if picture == "upright" != goal else picture, config.law.name]
     words += list(config.actuators or ())
     now, usual = config.as_dict(), type(config)(law=type(config.law)()).as_dict()
     numbers = {**now["law_settings"], "limit": now["limit"], "seconds": now["seconds"]}
