@@ -9,6 +9,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
+from keycld._errors import KeycldError
+from keycld.cli.alternatives import compare
 from keycld.cli.main import main
 from keycld.data import open_data
 from keycld.data.export.tracks import KeypointTracks, write_time_series
@@ -153,3 +155,10 @@ def test_sizes_in_a_damaged_configuration_are_named(tmp_path, capsys):
     (tmp_path / "config.json").write_text(json.dumps(dataclasses.asdict(config)))
     told = refused(capsys, "export", tmp_path, "--to", "csv")
     assert "('scene.height' is -64, but must be at least 1): restore it or train again." in told
+
+
+@pytest.mark.parametrize("contents", ["{}", '{"alternatives": [{"chosen": true}]}'])
+def test_a_damaged_comparison_of_mechanisms_is_named(tmp_path, contents):
+    (tmp_path / "alternatives.json").write_text(contents)
+    with pytest.raises(KeycldError, match="alternatives.json is damaged .* is missing.*: delete"):
+        compare(tmp_path / "a.mp4", tmp_path, {})

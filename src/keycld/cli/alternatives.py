@@ -41,11 +41,12 @@ def compare(clip: Path, run: Path, options: Mapping[str, Any]) -> "tuple[str | N
         run: the run folder; the chosen mechanism is written there as TOML if it has no name.
         options: of `import_clip`.
     """
+    from keycld.evaluation.physics_file import Comparison
     from keycld.mechanics import dump_constraints
 
     stored, toml = (run / name for name in COMPARISON)
     if stored.exists():
-        found = read_json(stored, dict[str, Any], f"delete {run}")["alternatives"]
+        found = read_json(stored, Comparison, f"delete {run}")["alternatives"]
         return next((each["mechanism"] or str(toml) for each in found if each["chosen"]), None), found
     # What is looked at lies next to the file that it is for: it goes with it, also where this fails or is killed.
     with replacing(stored) as temporary:

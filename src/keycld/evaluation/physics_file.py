@@ -94,6 +94,16 @@ class Alternative(TypedDict):
     chosen: bool
 
 
+class Comparison(TypedDict):
+    """The contents of `alternatives.json`.
+
+    Attributes:
+        alternatives: all mechanisms that were compared.
+    """
+
+    alternatives: list[Alternative]
+
+
 class Physics(TypedDict):
     """The contents of `physics.json`.
 
