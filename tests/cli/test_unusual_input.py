@@ -12,6 +12,7 @@ import pytest
 from keycld._errors import KeycldError
 from keycld.cli.alternatives import compare
 from keycld.cli.main import main
+from keycld.cli.train import train
 from keycld.data import open_data
 from keycld.data.export.tracks import KeypointTracks, write_time_series
 from keycld.data.imports.log import read_log
@@ -19,6 +20,7 @@ from keycld.drawing import save_movie
 from keycld.models import Scene, config_for
 from keycld.training import data_folder
 from keycld.training.run_files import RunConfig
+from scenes import write_data
 
 LOG = ["time,angle,tau", *(f"{k / 100},{np.sin(k / 9):.5f},{np.cos(k / 7):.5f}" for k in range(60))]
 IDENTIFY = ["--mechanism", "pendulum", "--position", "angle", "--input", "tau"]
@@ -64,6 +66,22 @@ def test_a_mistyped_option_is_named_with_the_nearest_one(words, meant, capfd):
     printed = "".join(capfd.readouterr())
     wrong = next(word for word in words if word.startswith("--"))
     assert end.value.code == 2 and f"Unrecognized options: {wrong}" in printed and meant in printed
+
+
+@pytest.mark.parametrize(("here", "data"), [("mine", "."), ("mine/below", "..")])
+def test_what_is_made_of_the_data_here_has_their_name(tmp_path, monkeypatch, capsys, here, data):
+    write_data(tmp_path / "mine")
+    (tmp_path / here).mkdir(exist_ok=True)
+    monkeypatch.chdir(tmp_path / here)
+    assert main(["data", "show", data]) == 0
+    assert capsys.readouterr().out == "movie: mine-train-0.gif\n"
+    with pytest.raises(InterruptedError, match="^runs/mine-keycld-fast-0$"):
+        monkeypatch.setattr("keycld.training.train", stopped)
+        train(data, settings=config_for("keycld", "fast"))
+
+
+def stopped(data, run, *given, **named):
+    raise InterruptedError(run)
 
 
 @pytest.mark.parametrize("name", ["README.md", "preview.gif", "constraints.toml"])

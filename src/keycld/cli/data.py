@@ -114,11 +114,12 @@ def show(
         out: Movie, .gif or .mp4; DATA-SPLIT-RECORDING.gif by default.
         scale: Enlargement.
     """
+    from keycld.cli.making import name_of
     from keycld.data import open_data
     from keycld.data import show as make_movie
 
     dataset = open_data(data)
-    path = out or Path(f"{dataset.folder.name}-{split}-{recording}.gif")
+    path = out or Path(f"{name_of(dataset.folder)}-{split}-{recording}.gif")
     count = dataset.count(split)
     if not -count <= recording < count:
         raise KeycldError(f"there is no recording {recording}: choose 0 to {count - 1}.")

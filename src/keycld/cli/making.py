@@ -1,5 +1,6 @@
 """Making of the data of a known system when a verb needs them."""
 
+import os
 import sys
 from pathlib import Path
 
@@ -16,3 +17,11 @@ def data_for(name: str) -> str:
 
         make(name)
     return name
+
+
+def name_of(folder: Path) -> str:
+    """Return the name of a data set's folder, for the names of what is made of it; `.` and `..` stand for others.
+
+    A link keeps its own name.
+    """
+    return os.path.basename(os.path.abspath(folder))

@@ -60,7 +60,7 @@ def train(
         checkpoint_seconds: Time between checkpoints, and about the most that a killed run loses.
         profile: Write a trace of JAX's profiler for the second dispatch of each stage to RUN/profile/STAGE.
     """
-    from keycld.cli.making import data_for
+    from keycld.cli.making import data_for, name_of
     from keycld.data import open_data
     from keycld.training import join, parse_config
     from keycld.training import train as train_model
@@ -81,7 +81,7 @@ def train(
         settings = settings.changed({"constraints": _text(constraints)})
     folder = data_for(data)
     seed = seed or 0
-    run = out or Path("runs") / f"{open_data(folder).folder.name}-{settings.model}-{settings.preset}-{seed}"
+    run = out or Path("runs") / f"{name_of(open_data(folder).folder)}-{settings.model}-{settings.preset}-{seed}"
     train_model(
         folder,
         run,
