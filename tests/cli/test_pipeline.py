@@ -58,6 +58,21 @@ def place(tmp_path_factory, trained):
     return shutil.copytree(trained, tmp_path_factory.mktemp("pipeline"), dirs_exist_ok=True)
 
 
+@pytest.mark.parametrize(
+    ("words", "doing"),
+    [
+        (["predict", "begun", "--data", "none.h5", "--out", "p.h5"], "predicting with"),
+        (["control", "begun"], "controlling with"),
+        (["export", "begun", "--to", "csv", "--split", "none"], "exporting"),
+    ],
+)
+def test_verbs_say_that_a_training_is_not_finished(here, place, tmp_path, words, doing):
+    run = shutil.copytree(place / "whole", tmp_path / "begun")
+    (run / "checkpoints" / "latest").write_text("00-vision-000004")
+    _, message = here(*words, folder=tmp_path)
+    assert f"the training of begun is not finished; {doing} its newest checkpoint" in message
+
+
 @pytest.mark.slow
 def test_a_killed_training_ends_with_the_bits_of_one_that_was_not(here, place):
     """kill -9 as soon as there is a checkpoint in the middle of the last stage; the same command resumes.

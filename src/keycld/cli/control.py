@@ -86,6 +86,7 @@ def control(
         json: Print the scores as JSON instead of a summary.
     """
     from keycld.cli.settings import parse_setting
+    from keycld.cli.unfinished import say_if_unfinished
     from keycld.control import ControlConfig, Disturbance, law_named, swing_up
     from keycld.evaluation import save_evaluation
     from keycld.reports import write_control_media
@@ -105,6 +106,7 @@ def control(
     picture = None if goal == "upright" else _picture(Path(goal))
     folder = run_folder(run)
     model, config = load_run(folder)
+    say_if_unfinished(folder, "controlling with")
     if math.isnan(config.epsilon):
         raise KeycldError(f"{folder} is of an earlier version, which did not record ε of its data: train it again.")
     if config.system not in names():

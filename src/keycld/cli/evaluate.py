@@ -39,6 +39,7 @@ def evaluate(
         json: Print all scores as JSON, by protocol, instead of tables.
     """
     from keycld.cli.making import data_for
+    from keycld.cli.unfinished import say_if_unfinished
     from keycld.data import is_clip, open_data
     from keycld.evaluation import (
         MOTION,
@@ -52,12 +53,11 @@ def evaluate(
     )
     from keycld.evaluation import evaluate as score
     from keycld.models.base import HasLagrangian
-    from keycld.training import Counted, data_folder, finished, load_run, pretrained, run_folder
+    from keycld.training import Counted, data_folder, load_run, pretrained, run_folder
 
     folder, asked = run_folder(run), data
     model, config = load_run(folder)
-    if not finished(folder):
-        print(f"the training of {folder} is not finished; scoring its newest checkpoint", file=sys.stderr)
+    say_if_unfinished(folder, "scoring")
     if data is None:
         data = str(data_folder(folder, config.data))
         if not Path(data).is_dir():

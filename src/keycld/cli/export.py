@@ -39,11 +39,13 @@ def export(
         metres: Metres in one image-plane unit, for mjcf and mujoco-sysid; by default metres_per_unit of
             RUN/evaluation/physics.json, or 1 without it.
     """
+    from keycld.cli.unfinished import say_if_unfinished
     from keycld.models.base import HasKeypoints, HasLagrangian
     from keycld.training import data_folder, load_run, run_folder
 
     folder = run_folder(run)
     model, config = load_run(folder)
+    say_if_unfinished(folder, "exporting")
     if not isinstance(model, HasKeypoints):
         raise KeycldError(f"the model of {folder} has no keypoints to export: train one with --model keycld.")
     size = _metres(folder) if metres is None else metres

@@ -35,6 +35,7 @@ def predict(
         first: The first given frame: its number, or its time such as 12.5s. A reversible model predicts the frames
             before it backward.
     """
+    from keycld.cli.unfinished import say_if_unfinished
     from keycld.data import clip_file, open_data, read, usual_for
     from keycld.evaluation import predict_file
     from keycld.training import Counted, data_folder, load_model
@@ -45,6 +46,7 @@ def predict(
         raise KeycldError(f"{data} is a folder: name a file in it, such as {data / 'test.h5'}.")
     model, config = load_model(run)
     if given is not None and given < model.context:
+    say_if_unfinished(run, "predicting with")
         raise KeycldError(f"--given is at least {model.context}, the frames that this model needs, not {given}.")
     with tempfile.TemporaryDirectory() as folder:
         file = data
