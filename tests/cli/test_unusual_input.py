@@ -9,18 +9,20 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
+from keycld import data as data_room
 from keycld._errors import KeycldError
 from keycld.cli.alternatives import compare
 from keycld.cli.main import main
 from keycld.cli.train import train
-from keycld.data import open_data
+from keycld.data import open_data, write
 from keycld.data.export.tracks import KeypointTracks, write_time_series
+from keycld.data.generate import make
 from keycld.data.imports.log import read_log
 from keycld.drawing import save_movie
 from keycld.models import Scene, config_for
 from keycld.training import data_folder
 from keycld.training.run_files import RunConfig
-from scenes import write_data
+from scenes import disc_pendulum, write_data
 
 LOG = ["time,angle,tau", *(f"{k / 100},{np.sin(k / 9):.5f},{np.cos(k / 7):.5f}" for k in range(60))]
 IDENTIFY = ["--mechanism", "pendulum", "--position", "angle", "--input", "tau"]
@@ -50,6 +52,33 @@ def test_a_video_in_place_of_data_is_answered_by_how_to_make_some(clip, tmp_path
     monkeypatch.chdir(tmp_path)
     for words in (["train", clip], ["predict", "pendulum", "--data", clip, "--out", "p.h5"]):
         assert f"`keycld data import {clip} --out FOLDER`" in refused(capsys, *words)
+
+
+@pytest.mark.parametrize("words", [["none.h5", "--from", "1.5s"], ["none.mp4"], ["none"]])
+def test_a_missing_file_to_predict_is_no_wrong_time_and_no_video(tmp_path, monkeypatch, capsys, words):
+    monkeypatch.chdir(tmp_path)
+    answer = refused(capsys, "predict", "pendulum", "--out", "p.h5", "--data", *words)
+    assert f"there is no file {words[0]}: check the path" in answer
+
+
+def test_a_long_test_is_made_before_a_time_in_it_is_looked_up(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(make, "provide", lambda path: write(path, disc_pendulum(1, 40, seed=0)))
+    words = ["predict", "pendulum", "--out", tmp_path / "p.h5", "--data", tmp_path / "test_long.h5"]
+    assert "frames of 64 × 64 pixels" in refused(capsys, *words, "--from", "1.5s")
+
+
+def test_a_video_with_fewer_frames_than_are_given_is_called_short(clip, tmp_path, monkeypatch, capsys):
+    """Not a wrong --from, which nobody gave."""
+    monkeypatch.chdir(tmp_path)
+    write_data(tmp_path / "data" / "pendulum")
+    monkeypatch.setattr(data_room, "clip_file", lambda video, out, *given, **named: write_short(out))
+    answer = refused(capsys, "predict", "pendulum", "--data", clip, "--out", "p.h5", "--given", "10")
+    assert f"{clip} gives 4 frames, but 10 are to be given to the model" in answer
+
+
+def write_short(path):
+    write(path, disc_pendulum(1, 4, seed=0))
+    return path
 
 
 @pytest.mark.parametrize(

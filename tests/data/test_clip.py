@@ -267,3 +267,6 @@ def test_a_video_from_the_same_place_becomes_one_recording_as_the_clip_was(tmp_p
         clip_file(wide, tmp_path / "b.h5", data.attributes, 24)
     with pytest.raises(KeycldError, match="the model learned from other data: .*keycld data import"):
         clip_file(path, tmp_path / "b.h5", {"protocol": "import"}, 24)
+    (tmp_path / "log.csv").write_text("time,angle")
+    with pytest.raises(KeycldError, match="log.csv cannot be read as a video"):
+        clip_file(tmp_path / "log.csv", tmp_path / "b.h5", {"protocol": "import"}, 24)

@@ -37,6 +37,7 @@ def predict(
     """
     from keycld.cli.unfinished import say_if_unfinished
     from keycld.data import clip_file, open_data, read, usual_for
+    from keycld.data.generate.make import provide
     from keycld.evaluation import predict_file
     from keycld.training import Counted, data_folder, load_model
 
@@ -45,12 +46,14 @@ def predict(
     if data.is_dir():
         raise KeycldError(f"{data} is a folder: name a file in it, such as {data / 'test.h5'}.")
     model, config = load_model(run)
-    if given is not None and given < model.context:
     say_if_unfinished(run, "predicting with")
+    if given is not None and given < model.context:
         raise KeycldError(f"--given is at least {model.context}, the frames that this model needs, not {given}.")
     with tempfile.TemporaryDirectory() as folder:
         file = data
         if data.suffix.lower() not in _HDF5:
+            if not data.is_file():
+                raise KeycldError(f"there is no file {data}: check the path.")
             size = int(config.scene["height"])
             known = data_folder(run, config.data)
             if not known.is_dir():
@@ -61,9 +64,16 @@ def predict(
             learned = open_data(known)
             out_file = Path(folder) / f"{data.stem}.h5"
             file = clip_file(data, out_file, learned.attributes, size, usual=usual_for(learned))
+        provide(file)
         number = _frame(first, lambda: read(file, images=False, rows=slice(0, 1)).dt)
         if file is not data:
-            last = read(file, images=False).frames - (given or model.context)
+            frames = read(file, images=False).frames
+            last = frames - (given or model.context)
+            if last < 0:
+                raise KeycldError(
+                    f"{data} gives {frames} frames, but {given or model.context} are to be given to the model: choose "
+                    "a longer video, or a smaller --given."
+                )
             if not 0 <= number <= last:
                 raise KeycldError(f"--from {first} is frame {number}, but in {data} 0 to {last} can be given.")
         predict_file(model, file, out, given=given, first=number, progress=Counted("predict"))
@@ -72,8 +82,11 @@ def predict(
 
 def _frame(first: str, dt: Callable[[], float]) -> int:
     """Return the number of a frame that is given as a number, or as a time in seconds at the frame interval dt."""
+    timed = first.endswith("s")
+    # Not below: an error of the file is none of the number.
+    interval = dt() if timed else 1.0
     try:
-        number = round(float(first[:-1]) / dt()) if first.endswith("s") else int(first)
+        number = round(float(first[:-1]) / interval) if timed else int(first)
     except (ValueError, OverflowError):
         number = _MOST
     if abs(number) >= _MOST:

@@ -58,12 +58,12 @@ def kept_rate(video: Path, like: Mapping[str, Any]) -> tuple[Fraction, Fraction,
     Raises:
         KeycldError: no such file, not a video, of another size, too slow; the data set is not made of a clip.
     """
+    width, height, rate, seconds = probe(video)
     if not is_clip(like):
         raise KeycldError(
             f"{video} is a video, but the model learned from other data: make a data set of it with `keycld data "
             f"import {video} --out FOLDER`, or learn its physics with `keycld watch {video} --mechanism auto`."
         )
-    width, height, rate, seconds = probe(video)
     own = tuple(int(side) for side in like["video_size"])
     if (width, height) != own:
         raise KeycldError(
