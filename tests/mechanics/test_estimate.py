@@ -1,5 +1,7 @@
 """Error bars of fitted parameters: where the answer is known in closed form, and where there is none."""
 
+from itertools import accumulate
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -23,7 +25,7 @@ from keycld.mechanics import (
     estimate,
     predict_fan,
 )
-from keycld.mechanics.residuals import autocovariance, likely_size, places
+from keycld.mechanics.residuals import autocovariance, lagged_products, likely_size, places
 
 NOISE, DT, FRAMES = 0.003, 1 / 30, 150
 GRAVITY, FRICTION, LENGTH, PIVOT = 9.81, 0.1, 0.6, (0.05, 0.4)
@@ -166,6 +168,26 @@ def test_the_size_of_uneven_errors_is_found_and_chance_is_not():
 def test_autocovariance_of_independent_errors_is_their_variance():
     errors = np.random.default_rng(3).standard_normal((1, 4000))
     np.testing.assert_allclose(autocovariance(errors), [1.0], rtol=0.1)
+
+
+@pytest.mark.parametrize("kept", [0.5, 0.8])
+def test_autocovariance_tells_how_far_a_sum_of_correlated_errors_spreads(kept):
+    """Of e(t) = φ e(t−1) + ε, the sum over n frames has about the variance n/(1 − φ)²."""
+    spread, frames = [], 300
+    for seed in range(200):
+        fresh = np.random.default_rng(seed).standard_normal(frames + 100)
+        errors = np.stack(list(accumulate(fresh, lambda before, new: kept * before + new)))[None, 100:]
+        spread.append(lagged_products(np.ones((1, frames, 1)), autocovariance(errors)).item())
+    assert np.sqrt(np.mean(spread) / frames) == pytest.approx(1 / (1 - kept), rel=0.06)
+
+
+def test_an_autocovariance_has_no_negative_variance():
+    """Errors that swing: of weights that swing as they do or not, all sums have a variance."""
+    time = np.arange(200)
+    noise = np.random.default_rng(0).standard_normal((1, 200))
+    covariance = autocovariance(np.sin(2 * np.pi * time / 20)[None] + 0.3 * noise)
+    swings = np.stack([np.cos(np.pi * time * k / 100) for k in range(100)], axis=-1)
+    assert np.linalg.eigvalsh(lagged_products(swings[None], covariance)).min() > -1e-6 * covariance[0]
 
 
 def test_predictions_spread_by_as_much_as_their_error_bars(swing):

@@ -147,8 +147,9 @@ def fit_joint_law(
     begins = np.arange(0, len(place) - 2 * half, max(1, half // 2))
     d = len(joints)
     size = d * (d + 1) // 2 + 4 * d
+    too_few = KeycldError(f"{len(place)} samples are too few to find {size} numbers: use a longer log.")
     if len(begins) * d < 2 * size:
-        raise KeycldError(f"{len(place)} samples are too few to find {size} numbers: use a longer log.")
+        raise too_few
     with jax.enable_x64(True):
         change, resist = (
             np.asarray(part) for part in _columns(joints, lengths, size, jnp.asarray(place), jnp.asarray(rate))
@@ -172,7 +173,11 @@ def fit_joint_law(
     error = target - rows @ theta
     inverse = np.linalg.inv(matrix.T @ matrix)
     middle = sum(lagged_products(rows[None, :, k], autocovariance(error[None, :, k])) for k in range(d))
-    share = matrix.shape[0] / (matrix.shape[0] - size)
+    # n/(n − p) for correlated errors of covariance Σ: the fit takes tr X (XᵀX)⁻¹ Xᵀ Σ from the sum of their squares.
+    left, taken = np.sum(error**2), np.trace(inverse @ middle)
+    if taken >= left:
+        raise too_few
+    share = left / (left - taken)
     # The noise of a window is that of its samples, √Σφ² of one.
     noise = np.sqrt(np.mean(error**2, axis=0) * share / np.sum(bump**2))
     return FittedJointLaw(theta, inverse @ middle @ inverse * share, noise, scatter)

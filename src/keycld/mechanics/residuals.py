@@ -31,8 +31,10 @@ def deviation(errors: Float[np.ndarray, "..."]) -> float:
 def autocovariance(scores: Float[np.ndarray, "N T"]) -> Float[np.ndarray, "L"]:
     """Return the autocovariance C of errors over time, at lags 0 to L − 1.
 
-    Lags count up to the first whose correlation may be chance (below 2/√n), with Bartlett's weights 1 − k/L over twice
-    as many, which keep C positive. Independent errors have L = 1.
+    Lags count in full up to the first whose correlation may be chance (below 2/√n), and with weights that fall to zero
+    over as many more (the flat top of Politis and Romano 1995): a triangle over all of them would take away a part of
+    the correlation that is known, and error bars would be up to a tenth too small. Negative parts of the spectrum are
+    cut off, so that C stays positive. Independent errors have L = 1.
 
     Args:
         scores: weighted errors of one coordinate in N recordings.
@@ -44,8 +46,13 @@ def autocovariance(scores: Float[np.ndarray, "N T"]) -> Float[np.ndarray, "L"]:
         return lags[:1]
     chance = np.flatnonzero(lags[1:] < _CHANCE * lags[0] / np.sqrt(scores.size))
     first = (int(chance[0]) if chance.size else most - 1) + 1
-    width = 1 if first == 1 else min(2 * first, most)
-    return lags[:width] * (1 - np.arange(width) / width)
+    if first == 1:
+        return lags[:1]
+    width = min(2 * first, most)
+    kept = lags[:width] * np.minimum(1.0, 2.0 - 2.0 * np.arange(width) / width)
+    # Of C(−k) = C(k), with zeros beyond.
+    spectrum = np.fft.hfft(np.pad(kept, (0, length - width)))
+    return kept if np.all(spectrum >= 0) else np.fft.ihfft(np.maximum(spectrum, 0.0)).real
 
 
 def lagged_products(effect: Float[np.ndarray, "N T P"], covariance: Float[np.ndarray, "L"]) -> np.ndarray:
