@@ -307,3 +307,13 @@ def test_a_picture_named_upright_is_another_goal_than_the_upright_pose():
     assert [_name(goal, settings) for goal in ("upright", "poses/left.png")] == [
         "control-upright-shaping", "control-left-shaping",
     ]  # fmt: skip
+
+
+def test_a_setting_that_is_a_word_is_part_of_the_name():
+    """A law of an installed package may have one; the name is made when the simulation has ended."""
+
+    @dataclasses.dataclass(frozen=True)
+    class Moody(type(ControlConfig().law)):
+        mood: str = "calm"
+
+    assert _name("upright", ControlConfig(law=Moody(mood="wild"))) == "control-upright-shaping-moodwild"

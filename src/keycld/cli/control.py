@@ -4,6 +4,7 @@ import ast
 import math
 from importlib.metadata import entry_points
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import tyro
@@ -133,7 +134,7 @@ def control(
     print(summary_of(result.scores))
     print(f"stored: {path}, {movie}, {figure}")
     if out is None:
-        print(f"next: keycld report {run}")
+        print(f"next: keycld report {quote(str(run))}")
 
 
 def _picture(path: Path) -> Any:
@@ -155,9 +156,11 @@ def _name(goal: str, config: Any) -> str:
     words = ["control", f"picture-{picture}" if picture == "upright" != goal else picture, config.law.name]
     words += list(config.actuators or ())
     now, usual = config.as_dict(), type(config)(law=type(config.law)()).as_dict()
-    numbers = {**now["law_settings"], "limit": now["limit"], "seconds": now["seconds"]}
+    chosen = {**now["law_settings"], "limit": now["limit"], "seconds": now["seconds"]}
     defaults = {**usual["law_settings"], "limit": usual["limit"], "seconds": usual["seconds"]}
-    words += [f"{name}{value:g}" for name, value in numbers.items() if value != defaults[name]]
+    # A setting of an installed package's law may be a word.
+    texts = {name: f"{value:g}" if isinstance(value, (int, float)) else str(value) for name, value in chosen.items()}
+    words += [f"{name}{text}" for name, text in texts.items() if chosen[name] != defaults[name]]
     words += [f"noise{config.disturbance.noise:g}"] if config.disturbance.noise else []
     words += [f"drop{config.disturbance.dropped:g}"] if config.disturbance.dropped else []
     words += [config.estimator] if config.estimator != usual["estimator"] else []

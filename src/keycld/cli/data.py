@@ -1,6 +1,7 @@
 """The verbs `keycld data make | check | show | import`."""
 
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Literal
 
 import tyro
@@ -183,7 +184,7 @@ def import_(
         print(f"imported: {clip.folder}, {clip.fps:g} frames/s, crop {' '.join(map(str, clip.crop))}")
         for line in changes_of(open_data(clip.folder).attributes):
             print(line)
-        print(f"next: keycld train {clip.folder} --preset clip")
+        print(f"next: keycld train {quote(str(clip.folder))} --preset clip")
         return
     folder = import_video(
         list(videos),
@@ -196,4 +197,4 @@ def import_(
         frames=frames,
         constraints=constraints,
     )
-    print(f"imported: {folder}\nnext: keycld data show {folder}, keycld train {folder}")
+    print(f"imported: {folder}\nnext: keycld data show {quote(str(folder))}, keycld train {quote(str(folder))}")

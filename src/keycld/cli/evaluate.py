@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING, Annotated
 
 import tyro
@@ -90,7 +91,7 @@ def evaluate(
     # A motion with error bars is one of `keycld watch`, which knows the measured constants.
     if own and is_clip(dataset.attributes) and isinstance(model, HasLagrangian) and not _has_error_bars(folder):
         save_evaluation(folder, MOTION, evaluate_motion(model, dataset))
-    print(as_json(scores) if json else f"stored: {folder / 'evaluation'}\nnext: keycld report {folder}")
+    print(as_json(scores) if json else f"stored: {folder / 'evaluation'}\nnext: keycld report {quote(str(folder))}")
 
 
 def _has_error_bars(folder: Path) -> bool:

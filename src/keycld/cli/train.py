@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any
 
 import tyro
@@ -96,7 +97,7 @@ def train(
     )
     if profile:
         print(f"traces: {run}/profile; open a perfetto_trace.json.gz at https://ui.perfetto.dev, or all in XProf")
-    print(f"trained: {run}\nnext: keycld eval {run}, keycld report {run}")
+    print(f"trained: {run}\nnext: keycld eval {quote(str(run))}, keycld report {quote(str(run))}")
 
 
 def with_settings(words: Sequence[str]) -> Callable[..., None]:

@@ -30,7 +30,7 @@ from keycld.training.processes import agreed_number, check_equal, check_first, l
 from keycld.training.run_files import RunConfig, open_run, read_config, refuse_failed
 from keycld.training.step import take_steps
 from keycld.training.together import Member
-from keycld.training.trackers import make_tracker
+from keycld.training.trackers import check_tracker, make_tracker
 
 # Largest number of trajectories in the validation score.
 _VALIDATED = 100
@@ -81,6 +81,7 @@ def train(
     """
     check_seed(seed)
     check_minutes(minutes)
+    check_tracker(track)
     if log_every < 1:
         raise KeycldError(f"--log-every is a number of steps, at least 1, not {log_every}.")
     if not checkpoint_seconds >= 0:

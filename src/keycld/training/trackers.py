@@ -1,11 +1,13 @@
 """Experiment trackers, which are optional; `metrics.jsonl` is always written."""
 
+import importlib
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 from keycld._errors import KeycldError, unknown
 
-TRACKERS = ("none", "wandb", "trackio", "tensorboard")
+_PACKAGES = {"wandb": "wandb", "trackio": "trackio", "tensorboard": "tensorboardX"}
+TRACKERS = ("none", *_PACKAGES)
 
 
 @runtime_checkable
@@ -19,25 +21,32 @@ class Tracker(Protocol):
         """End the recording."""
 
 
+def check_tracker(name: str) -> None:
+    """Refuse a tracker that does not work here.
+
+    Raises:
+        KeycldError: there is no tracker of this name, or its package is not installed.
+    """
+    if name not in TRACKERS:
+        raise unknown("tracker", name, TRACKERS)
+    try:
+        if name != "none":
+            importlib.import_module(_PACKAGES[name])
+    except ImportError:
+        raise KeycldError(f"--track {name} needs its package: pip install 'keycld[{name}]'.") from None
+
+
 def make_tracker(name: str, folder: Path, config: dict[str, Any]) -> Tracker:
-    """Return a tracker by name.
+    """Return a tracker that `check_tracker` allows.
 
     Args:
         name: one of `TRACKERS`.
         folder: run folder; its name is that of the run.
         config: for the tracker's record.
-
-    Raises:
-        KeycldError: there is no such tracker, or its package is not installed.
     """
-    if name not in TRACKERS:
-        raise unknown("tracker", name, TRACKERS)
     if name == "none":
         return _Silent()
-    try:
-        return _TensorBoard(folder) if name == "tensorboard" else _Dashboard(name, folder, config)
-    except ImportError:
-        raise KeycldError(f"--track {name} needs its package: pip install 'keycld[{name}]'.") from None
+    return _TensorBoard(folder) if name == "tensorboard" else _Dashboard(name, folder, config)
 
 
 class _Silent:
@@ -52,8 +61,6 @@ class _Dashboard:
     """The trackers wandb and trackio, which have the same functions."""
 
     def __init__(self, name: str, folder: Path, config: dict[str, Any]):
-        import importlib
-
         self._module = importlib.import_module(name)
         self._module.init(project="keycld", name=folder.name, config=config)
 
