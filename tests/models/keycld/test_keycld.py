@@ -9,7 +9,8 @@ from keycld.data import Clip
 from keycld.mechanics import Constraints, DistanceToPoint, FixedDistance, MLPPotential, Rattle
 from keycld.models import Scene, config_for
 from keycld.models.keycld import losses
-from keycld.models.keycld.losses import CollocationLoss, PredictionLoss, TrackLoss, VisionLoss
+from keycld.models.keycld.collocation_loss import CollocationLoss
+from keycld.models.keycld.losses import PredictionLoss, TrackLoss, VisionLoss
 from keycld.vision import gaussian_maps, image_grid
 
 SCENE = Scene(height=16, width=16, inputs=1, frames=12, dt=0.05, trajectories=6)

@@ -41,7 +41,7 @@ class PaperConfig(PublishedConfig):
         """Return one stage with every parameter at the same rate."""
         import optax
 
-        from keycld.models.keycld.losses import CollocationLoss
+        from keycld.models.keycld.collocation_loss import CollocationLoss
         from keycld.stages import Group, part
 
         everything = Group("model", part("estimator", "renderer", "dynamics"), self.rate)
