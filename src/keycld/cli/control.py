@@ -151,9 +151,11 @@ def _name(goal: str, config: Any) -> str:
 
     Trials and seed are no part of the name.
     """
-    picture = Path(goal).stem
-    # A picture of that name is another goal.
-    words = ["control", f"picture-{picture}" if picture == "upright" != goal else picture, config.law.name]
+    shown = Path(goal).stem
+    if shown == "upright" and goal != "upright":
+        # A picture of that name is another goal.
+        shown = "picture-upright"
+    words = ["control", shown, config.law.name]
     words += list(config.actuators or ())
     now, usual = config.as_dict(), type(config)(law=type(config.law)()).as_dict()
     chosen = {**now["law_settings"], "limit": now["limit"], "seconds": now["seconds"]}
